@@ -40,9 +40,9 @@ def command() -> None:
 
 
 def _open(file: Path, *, create: bool = False) -> Leaderboard:
-    """Opens the leaderboard that an argument names; what is none is wrong usage."""
+    """Opens the leaderboard that an argument names, until the command ends; what is none is wrong usage."""
     try:
-        return Leaderboard(file, create=create)
+        return click.get_current_context().with_resource(Leaderboard(file, create=create))
     except NmesError as error:
         raise click.UsageError(error.message) from error
 

@@ -25,7 +25,7 @@ from contextlib import contextmanager, suppress
 from hashlib import file_digest
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import orjson
 
@@ -136,8 +136,14 @@ class Leaderboard:
             self._db.execute(f"PRAGMA user_version = {_VERSION}")
 
     def close(self) -> None:
-        """Closes the file."""
+        """Closes the file, as leaving a `with` does."""
         self._db.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
 
     # -- tasks -------------------------------------------------------------------------------------------------------
 

@@ -364,13 +364,10 @@ class _Leaderboards(_Answers):
         task = request.query_params.get("task")
 
         def read() -> JsonObject:
-            board = Leaderboard(path)
-            try:
+            with Leaderboard(path) as board:
                 entries = board.entries(task=task, top=_ENTRIES, broken=True)
                 units = board.units(entries)
                 tasks = [{"name": name, "hash": digest} for name, digest in board.tasks()]
-            finally:
-                board.close()
             items = [{**entry.to_json(), "unit": units.get(entry.task_hash, "")} for entry in entries]
             return {"name": request.path_params["name"], "tasks": tasks, "items": items[:_ENTRIES], "next": None}
 
@@ -389,12 +386,9 @@ class _Leaderboards(_Answers):
         path, number = self._folder.find("leaderboards", name), (await _object(request)).get("entry")
 
         def proof() -> Path | None:
-            board = Leaderboard(path)
-            try:
+            with Leaderboard(path) as board:
                 found = [entry for entry in board.entries(broken=True) if entry.id == number]
                 return board.recording(found[0].recordings[0]) if found else None
-            finally:
-                board.close()
 
         recording = await self._lab.do(proof) if type(number) is int else None
         if recording is None:

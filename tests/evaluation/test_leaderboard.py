@@ -22,6 +22,7 @@ from click.testing import CliRunner, Result
 from PIL import Image, ImageSequence
 from test_evaluation import task
 
+from boards import entries_of, recording_of
 from creatures import SINE, cpg, snake
 from nmes.cli import main
 from nmes.errors import LeaderboardError, ProofError
@@ -64,10 +65,9 @@ def board(tmp_path: Path, proofs: list[str]) -> Path:
 
 def new_board(path: Path, *tasks: Task) -> Path:
     """Makes a leaderboard that takes these tasks."""
-    board = Leaderboard(path, create=True)
-    for each in tasks:
-        board.allow(each)
-    board.close()
+    with Leaderboard(path, create=True) as board:
+        for each in tasks:
+            board.allow(each)
     return path
 
 
@@ -113,10 +113,10 @@ def test_a_name_that_is_anothers_is_found_in_one_entry(board: Path, monkeypatch:
         "nmes.evaluation.leaderboard.examine",
         lambda work: Verdict(work[0].id, work[0].task, work[0].name, "holds", None),
     )
-    (verdict,) = Leaderboard(board).verify(only=[2])
-    assert (verdict.id, verdict.verdict) == (2, "broken") and "another key" in str(verdict.reason)
-    (verdict,) = Leaderboard(board).verify(only=[1])
-    assert (verdict.id, verdict.verdict) == (1, "holds")
+    with Leaderboard(board) as opened:
+        (second,), (first,) = opened.verify(only=[2]), opened.verify(only=[1])
+    assert (second.id, second.verdict) == (2, "broken") and "another key" in str(second.reason)
+    assert (first.id, first.verdict) == (1, "holds")
 
 
 def test_entries_are_listed_once_and_whole(board: Path, proofs: list[str], tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_entries_are_listed_once_and_whole(board: Path, proofs: list[str], tmp_p
     new_board(tmp_path / "other.sqlite", task())
     part = run("add", tmp_path / "other.sqlite", proofs[0])
     assert part.exit_code == 1 and "one recording for each of the seeds 3, 4" in part.stderr
-    assert list(Leaderboard(tmp_path / "other.sqlite").entries()) == []
+    assert entries_of(tmp_path / "other.sqlite") == []
 
 
 def forged(source: str, target: Path, change: Any) -> Path:
@@ -157,7 +157,7 @@ def test_a_forged_command_is_refused_with_the_first_frame_that_differs(proofs: l
     assert caught.value.code == "diverged"
     refused = run("add", tmp_path / "board.sqlite", path, proofs[1])
     assert refused.exit_code == 1 and f"frame {frame - 1}" in refused.stderr  # the brain would not have said that
-    assert Leaderboard(tmp_path / "board.sqlite").entries() == []
+    assert entries_of(tmp_path / "board.sqlite") == []
 
 
 def played(target: Path, seed: int, meddle: Any) -> Path:
@@ -215,17 +215,17 @@ def test_a_forged_entry_is_found_and_hidden(board: Path, change: str, reason: st
     database.close()
     result = run("verify", board, "--jobs", "1", "--write")
     assert result.exit_code == 1 and reason in result.stdout and "1 of 2 entries hold" in result.stdout
-    assert [entry.name for entry in Leaderboard(board).entries()] == ["<b>chain</b>"]
+    assert [entry.name for entry in entries_of(board)] == ["<b>chain</b>"]
     assert "(broken: " in run("show", board, "--broken").stdout
     with sqlite3.connect(board) as database:
         database.execute("UPDATE entries SET score = ?, task_hash = ? WHERE name = 'wave'", true)
     database.close()
-    assert run("verify", board, "--jobs", "1", "--write").exit_code == 0 and len(Leaderboard(board).entries()) == 2
+    assert run("verify", board, "--jobs", "1", "--write").exit_code == 0 and len(entries_of(board)) == 2
 
 
 def test_a_forged_or_missing_recording_is_found(board: Path, tmp_path: Path) -> None:
-    wave = next(entry for entry in Leaderboard(board).entries() if entry.name == "wave")
-    file = Leaderboard(board).recording(wave.recordings[1])
+    wave = next(entry for entry in entries_of(board) if entry.name == "wave")
+    file = recording_of(board, wave.recordings[1])
     content = file.read_bytes()
     file.unlink()
     assert file.name in run("verify", board, "--jobs", "1").stdout
@@ -287,9 +287,9 @@ def test_a_leaderboard_page_is_one_file_with_a_picture_of_each_creature(board: P
     film = base64.b64decode(re.findall('src="data:image/gif;base64,([^"]*)"', text)[0])
     with Image.open(io.BytesIO(film)) as image:
         assert image.size == (240, 180) and len(list(ImageSequence.Iterator(image))) > 4
-    entries = Leaderboard(board).entries()
+    entries = entries_of(board)
     for entry in entries:
-        scores = [prove(Leaderboard(board).recording(each)).result.score or 0.0 for each in entry.recordings]
+        scores = [prove(recording_of(board, each)).result.score or 0.0 for each in entry.recordings]
         assert entry.spread == pstdev(scores) > 0 and f"{entry.score:.6g}<small>± {entry.spread:.3g}</small>" in text
     links = re.findall('<a href="([^"]*)">(seed [0-9]+)</a>', text)
     assert [name for _, name in links] == ["seed 3", "seed 4"] * 2
@@ -307,10 +307,10 @@ def test_a_task_that_is_edited_is_another_task(board: Path, proofs: list[str], t
     assert run("add", board, *evaluation.recordings).exit_code == 1
     new_board(board, easier)
     assert run("add", board, *evaluation.recordings).exit_code == 0
-    shown = Leaderboard(board).entries()
+    shown = entries_of(board)
     assert len(shown) == 3 and len({entry.task_hash for entry in shown}) == 2
-    with pytest.raises(LeaderboardError, match="one recording for each"):
-        Leaderboard(board).add([prove(evaluation.recordings[0]), prove(proofs[1])])
+    with Leaderboard(board) as opened, pytest.raises(LeaderboardError, match="one recording for each"):
+        opened.add([prove(evaluation.recordings[0]), prove(proofs[1])])
 
 
 def test_a_forked_recording_is_refused(proofs: list[str], tmp_path: Path) -> None:

@@ -225,10 +225,9 @@ def test_a_forged_match_is_not_listed(tmp_path: Path, races: list[str]) -> None:
 
 
 def test_the_creatures_of_an_entry_are_told(board: Path) -> None:
-    kept = Leaderboard(board)
-    entry = kept.entries()[0]
-    assert {genome.hash for genome in kept.genomes(entry)} == {player.genome_hash for player in entry.players}
-    edit(board, f"UPDATE entries SET players = replace(players, '{entry.players[0].genome_hash}', '{'0' * 64}')")
-    with pytest.raises(LeaderboardError, match="of other genomes"):
-        kept.genomes(kept.entries()[0])
-    kept.close()
+    with Leaderboard(board) as kept:
+        entry = kept.entries()[0]
+        assert {genome.hash for genome in kept.genomes(entry)} == {player.genome_hash for player in entry.players}
+        edit(board, f"UPDATE entries SET players = replace(players, '{entry.players[0].genome_hash}', '{'0' * 64}')")
+        with pytest.raises(LeaderboardError, match="of other genomes"):
+            kept.genomes(kept.entries()[0])

@@ -29,10 +29,9 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A leaderboard with two creatures on a task of its own, one of them signed, and one of these on another."""
     folder = tmp_path_factory.mktemp("board")
     path = folder / "board.sqlite"
-    made = Leaderboard(path, create=True)
-    for task in (DASH, SPRINT):
-        made.allow(Task(task))
-    made.close()
+    with Leaderboard(path, create=True) as made:
+        for task in (DASH, SPRINT):
+            made.allow(Task(task))
     wave, chain = snake(SINE, name="wave", author="Ada"), snake(cpg(4), name="chain", author="")
     proofs = signed(proofs_of(folder / "wave", wave), key_in(folder / "ada.pem", 1))
     proofs += [*proofs_of(folder / "chain", chain), *proofs_of(folder / "sprint", {**wave, "author": ""}, SPRINT)]

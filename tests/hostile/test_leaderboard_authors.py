@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from boards import DASH, edit, entry, key_in, proofs_of, run, signed, verdicts
+from boards import DASH, edit, entries_of, entry, key_in, proofs_of, recording_of, run, signed, verdicts
 from creatures import SINE, cpg, mlp, snake
 from nmes.evaluation.authors import author_forms
-from nmes.evaluation.leaderboard import Leaderboard
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +63,7 @@ def test_a_signature_that_is_gone_or_of_another_recording_is_found(tmp_path: Pat
     refused = run("add", board, *wrong)
     assert refused.exit_code == 1 and "signature" in refused.stderr
     assert run("add", board, *mine).exit_code == 0
-    signature = Path(f"{Leaderboard(board).recording(entry(board, 'mine').recordings[0])}.sig")
+    signature = Path(f"{recording_of(board, entry(board, 'mine').recordings[0])}.sig")
     content = signature.read_bytes()
     signature.unlink()
     status, found = verdicts(board)
@@ -144,8 +143,8 @@ def test_an_author_with_two_keys_holds_with_the_first(tmp_path: Path, dash: Path
         made = proofs_of(tmp_path / name, snake(mlp(4, seed=number), name=name))
         listed = made if number == 3 else signed(made, key_in(tmp_path / f"{number}.pem", number))
         assert run("add", path, *listed).exit_code == 0
-        for file in Leaderboard(path).recordings.iterdir():
-            file.rename(Leaderboard(board).recordings / file.name)
+        for file in path.with_suffix(".recordings").iterdir():
+            file.rename(board.with_suffix(".recordings") / file.name)
         if number > 1:
             with closing(sqlite3.connect(board)) as database, database:
                 database.execute("ATTACH ? AS other", (str(path),))
@@ -156,7 +155,7 @@ def test_an_author_with_two_keys_holds_with_the_first(tmp_path: Path, dash: Path
     assert status == 1 and found["mine"] == ("holds", "")
     for name in ("other", "unsigned"):
         assert found[name][0] == "broken" and "another key" in found[name][1]
-    assert [each.name for each in Leaderboard(board).entries()] == ["mine"]
+    assert [each.name for each in entries_of(board)] == ["mine"]
     # A name belongs to nobody by an entry that does not hold.
     edit(board, "UPDATE entries SET score = 7.0 WHERE name = 'mine'")
     found = verdicts(board)[1]

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from boards import DASH, edit, entry, proofs_of, run, verdicts
+from boards import DASH, edit, entries_of, entry, proofs_of, recording_of, run, verdicts
 from creatures import SINE, WAVE, cpg, mlp, snake
 from journals import write_naming_journal
 from made_up_runs import genomes, make_run, real
@@ -65,7 +65,7 @@ def board(tmp_path: Path, proofs: list[str], dash: Path) -> Path:
 
 def test_an_entry_with_its_best_seed_twice_is_broken(board: Path) -> None:
     wave = entry(board)
-    paths = {each: Leaderboard(board).recording(each) for each in wave.recordings}
+    paths = {each: recording_of(board, each) for each in wave.recordings}
     scores = {prove(path).result.score: each for each, path in paths.items()}
     best = max(score for score in scores if score is not None)
     twice = json.dumps([scores[best]] * 2)
@@ -84,7 +84,7 @@ def test_an_entry_takes_one_recording_for_each_seed(tmp_path: Path, dash: Path, 
     for given in (proofs[:1], [proofs[0], proofs[0]], [*proofs[:2], proofs[0]], [proofs[0], proofs[2]]):
         refused = run("add", board, *given)
         assert refused.exit_code == 1 and "one recording for each of the seeds 3, 4" in refused.stderr
-        assert Leaderboard(board).entries() == []
+        assert entries_of(board) == []
 
 
 @pytest.mark.parametrize("column", COLUMNS)
@@ -133,7 +133,7 @@ def test_a_hostile_row_is_broken_and_the_others_are_judged(board: Path, column: 
     rows = {row["id"]: row for row in json.loads(result.stdout)}
     assert result.exit_code == 1 and rows.pop(number)["verdict"] == "broken"
     assert [row["verdict"] for row in rows.values()] == ["holds"]
-    assert [each.name for each in Leaderboard(board).entries()] == ["chain"]
+    assert [each.name for each in entries_of(board)] == ["chain"]
     for arguments in (("show", board), ("show", board, "--broken"), ("verify", board, "--jobs", "1")):
         run(*arguments)
     assert run("export", board, "-o", board.with_suffix(".html")).exit_code == 0
@@ -241,7 +241,7 @@ def test_a_broken_entry_does_not_keep_its_creature_out(board: Path, proofs: list
     refused = run("add", board, *proofs[:2])
     assert refused.exit_code == 1 and "is listed for the task dash already" in refused.stderr
     for recording in entry(board).recordings:
-        Leaderboard(board).recording(recording).unlink()
+        recording_of(board, recording).unlink()
     assert verdicts(board, "--write")[0] == 1 and entry(board).broken
     assert run("add", board, *proofs[:2]).exit_code == 0
     assert verdicts(board) == (0, {"wave": ("holds", ""), "chain": ("holds", "")})
@@ -283,7 +283,7 @@ def _circle(path: Path) -> None:
 
 @pytest.mark.parametrize("harm", [Path.unlink, _empty, _garbage, _folder, _pipe, _endless, _circle])
 def test_a_recording_that_is_none_breaks_its_entry_alone(board: Path, harm: Callable[[Path], None]) -> None:
-    harm(Leaderboard(board).recording(entry(board).recordings[0]))
+    harm(recording_of(board, entry(board).recordings[0]))
     status, found = verdicts(board)
     assert status == 1 and found["wave"][0] == "broken" and found["chain"][0] == "holds"
     assert run("export", board, "-o", board.with_suffix(".html")).exit_code == 0
@@ -336,26 +336,26 @@ def test_what_cannot_be_judged_here_is_neither_held_nor_broken_nor_marked(
     edit(board, "UPDATE entries SET score = 7.0 WHERE name = 'chain'")
     status, found = verdicts(board, "--write")
     assert status == 1 and found["wave"][0] == "not_judged" and found["chain"][0] == "broken"
-    assert [each.name for each in Leaderboard(board).entries()] == ["wave"]
+    assert [each.name for each in entries_of(board)] == ["wave"]
 
 
 def test_a_row_that_is_locked_is_not_judged(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     number = entry(board).id
     edit(board, f"UPDATE entries SET recordings = '' WHERE id = {number}")
     monkeypatch.setattr(sqlite3, "connect", partial(sqlite3.connect, timeout=0.0))
-    found = Leaderboard(board)
-    verdicts = found.verify()
-    assert next(verdicts).verdict == "broken"  # of the first row; now somebody else takes the file
-    with closing(sqlite3.connect(board, isolation_level=None)) as other:
-        other.execute("BEGIN EXCLUSIVE")
-        left = list(verdicts)
-        assert [(each.verdict, each.reason) for each in left] == [
-            ("not_judged", "its row cannot be read: database is locked")
-        ]
-        for command in (("show", board), ("verify", board), ("export", board, "-o", board.with_suffix(".html"))):
-            refused = run(*command)
-            assert refused.exit_code != 0 and "database is locked" in refused.stderr and refused.stdout == ""
-    assert [each.verdict for each in Leaderboard(board).verify()] == ["broken", "holds"]
+    with Leaderboard(board) as opened:
+        verdicts = opened.verify()
+        assert next(verdicts).verdict == "broken"  # of the first row; now somebody else takes the file
+        with closing(sqlite3.connect(board, isolation_level=None)) as other:
+            other.execute("BEGIN EXCLUSIVE")
+            left = list(verdicts)
+            assert [(each.verdict, each.reason) for each in left] == [
+                ("not_judged", "its row cannot be read: database is locked")
+            ]
+            for command in (("show", board), ("verify", board), ("export", board, "-o", board.with_suffix(".html"))):
+                refused = run(*command)
+                assert refused.exit_code != 0 and "database is locked" in refused.stderr and refused.stdout == ""
+        assert [each.verdict for each in opened.verify()] == ["broken", "holds"]
 
 
 def test_what_cannot_be_read_is_not_left_out_of_what_is_shown(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -378,8 +378,8 @@ def test_a_board_that_somebody_else_makes_meanwhile_is_taken(
         create(self)
 
     monkeypatch.setattr(Leaderboard, "_create", late)
-    Leaderboard(board, create=True).close()
-    assert ("dash", Task(DASH).hash) in Leaderboard(board).tasks()
+    with Leaderboard(board, create=True) as made:
+        assert ("dash", Task(DASH).hash) in made.tasks()
 
 
 def test_an_entry_whose_worker_was_killed_is_not_judged(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -390,21 +390,21 @@ def test_an_entry_whose_worker_was_killed_is_not_judged(board: Path, monkeypatch
     monkeypatch.setattr(leaderboard, "in_processes", killed)
     status, found = verdicts(board, "--write")
     assert status == 3 and sorted(verdict for verdict, _ in found.values()) == ["holds", "not_judged"]
-    assert len(Leaderboard(board).entries()) == 2
+    assert len(entries_of(board)) == 2
 
 
 def test_verify_writes_only_when_it_is_told_to(board: Path) -> None:
     edit(board, "UPDATE entries SET score = 7.0 WHERE name = 'wave'")
     before = board.read_bytes()
     assert run("verify", board, "--jobs", "1").exit_code == 1
-    assert board.read_bytes() == before and len(Leaderboard(board).entries()) == 2
+    assert board.read_bytes() == before and len(entries_of(board)) == 2
     assert run("verify", board, "--jobs", "1", "--write").exit_code == 1
-    assert [each.name for each in Leaderboard(board).entries()] == ["chain"]
+    assert [each.name for each in entries_of(board)] == ["chain"]
     assert "wave (broken: score: listed 7.0" in run("show", board, "--broken").stdout
-    proved = [prove(Leaderboard(board).recording(each)) for each in entry(board).recordings]
+    proved = [prove(recording_of(board, each)) for each in entry(board).recordings]
     true = leaderboard_entry.facts(proved)["score"]
     edit(board, f"UPDATE entries SET score = {true!r} WHERE name = 'wave'")
-    assert run("verify", board, "--jobs", "1", "--write").exit_code == 0 and len(Leaderboard(board).entries()) == 2
+    assert run("verify", board, "--jobs", "1", "--write").exit_code == 0 and len(entries_of(board)) == 2
 
 
 # -- copies -----------------------------------------------------------------------------------------------------------
@@ -495,7 +495,7 @@ def test_a_renamed_copy_is_not_listed(board: Path, tmp_path: Path) -> None:
     copied = {**renamed(snake(SINE, name="wave")), "name": "mine", "author": "Eve"}
     result = run("add", board, *proofs_of(tmp_path / "copy", copied))
     assert result.exit_code == 1 and "'wave' by 'Ada (unsigned)'" in result.stderr
-    assert len(Leaderboard(board).entries()) == 2
+    assert len(entries_of(board)) == 2
 
 
 # -- tasks ------------------------------------------------------------------------------------------------------------

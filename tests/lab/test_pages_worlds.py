@@ -312,12 +312,11 @@ def test_an_empty_leaderboard_says_how_to_fill_it(browser: Browser, lab: Lab) ->
 
 def test_one_entry_of_a_leaderboard_is_verified(browser: Browser, lab: Lab, tmp_path: Path) -> None:
     dash = Task(DASH)
-    board = Leaderboard(lab.folder / "leaderboards" / "dash.sqlite", create=True)
-    board.allow(dash)
-    for brain, name in ((SINE, "wave"), (cpg(4), MARKUP)):
-        recordings = evaluate(Genome(snake(brain, name=name, author="Ada")), dash, record=tmp_path).recordings
-        board.add([prove(path) for path in recordings])
-    board.close()
+    with Leaderboard(lab.folder / "leaderboards" / "dash.sqlite", create=True) as board:
+        board.allow(dash)
+        for brain, name in ((SINE, "wave"), (cpg(4), MARKUP)):
+            recordings = evaluate(Genome(snake(brain, name=name, author="Ada")), dash, record=tmp_path).recordings
+            board.add([prove(path) for path in recordings])
     with opened(browser, lab, "leaderboard/dash") as page:
         button = page.get_by_role("button", name="Verify wave")
         button.hover()

@@ -56,9 +56,19 @@ def edit(board: Path, *statements: str) -> None:
     database.close()
 
 
+def entries_of(board: Path, *, broken: bool = False) -> list[leaderboard_entry.Entry]:
+    with Leaderboard(board) as opened:
+        return opened.entries(broken=broken)
+
+
 def entry(board: Path, name: str = "wave") -> leaderboard_entry.Entry:
-    (found,) = (each for each in Leaderboard(board).entries(broken=True) if each.name == name)
+    (found,) = (each for each in entries_of(board, broken=True) if each.name == name)
     return found
+
+
+def recording_of(board: Path, name: str) -> Path:
+    with Leaderboard(board) as opened:
+        return opened.recording(name)
 
 
 def key_in(path: Path, seed: int) -> Path:
