@@ -87,7 +87,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
         """Makes an environment.
 
         Args:
-            core: What it stands on.
+            core: What it stands on, which is closed where nothing comes of the environment.
             render_mode: `rgb_array`; `human`, for a window that shows every tick; or None where nobody draws it.
             record: A folder in which every episode that comes to its end is recorded; None: none is.
 
@@ -96,14 +96,18 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
             WorldError: The creature has no motors, or no sensors; or the engine draws no pictures.
             RecordingError: The folder cannot be made.
         """
-        modes = _modes(render_mode, core.task)
+        try:
+            modes = _modes(render_mode, core.task)
+            self._records = None if record is None else Records(record, 1)
+        except BaseException:
+            core.close()
+            raise
         self._core, self.render_mode = core, render_mode
         self.genome, self.task, self.sensors, self.motors = core.genome, core.task, core.sensors, core.motors
         self.metadata = {"render_modes": modes, "render_fps": core.task.tick_rate}
         self.observation_space, self.action_space = spaces.of(core.genome)
         self.units = spaces.units(core.genome)
         self._window = Window(f"{core.genome.name} on {core.task.name}", core.task.tick_rate)
-        self._records = None if record is None else Records(record, 1)
         self._begun = False
         self._done: list[Array] = []  # the actions of this episode, where it is drawn
         self._drawn: DrivenWorld | None = None
