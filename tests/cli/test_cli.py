@@ -23,6 +23,7 @@ from nmes.cli import SUBCOMMANDS, main
 from nmes.errors import RecordingError
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.recording import Kind, Recording
+from opengl import with_opengl
 from processes import NMES, process, ready
 from recordings import busy, record
 from servers import PATIENCE
@@ -412,6 +413,7 @@ QUIET = {
 }
 
 
+@with_opengl
 def test_a_terminal_is_shown_progress_unless_it_is_to_be_quiet(tmp_path: Path) -> None:
     recording = record(tmp_path / "run.mcap", busy)
     for options, shown in ([], True), (["--quiet"], False), (["-q"], False):

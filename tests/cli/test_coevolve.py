@@ -17,6 +17,7 @@ from duels import push
 from nmes.cli import main
 from nmes.evaluation import play, prove_match
 from nmes.evolution.run import Run
+from opengl import with_opengl
 from runs import forge
 
 ROLES = ("red", "blue")
@@ -181,6 +182,7 @@ def test_champions_of_all_eras_are_drawn_against_each_other(whole: Path, tmp_pat
     assert len(circles) == 4  # a champion of each population in each era
 
 
+@with_opengl
 def test_a_film_shows_the_champions_of_an_era_against_each_other(whole: Path, tmp_path: Path) -> None:
     result = nmes("film", whole, "-o", tmp_path / "film.png", "--seconds", "0.2", "--size", "160x80")
     run = Run.open(whole)

@@ -12,9 +12,13 @@ import pytest
 
 from nmes.backend import load_backend
 from nmes.backend.probe import probe
+from opengl import OPENGL
 from processes import NMES
 
 Findings = dict[str, dict[str, str]]
+
+BLIND = [] if OPENGL else ["graphics"]
+"""What is wrong with this machine itself."""
 
 
 def examine(*options: str, cwd: Path | str, shell: str = "", **environment: str) -> tuple[int, Findings]:
@@ -40,12 +44,12 @@ def test_where_all_is_well_nothing_is_wrong(tmp_path: Path) -> None:
         other.bind(("127.0.0.1", 0))
         free = other.getsockname()[1]
     status, findings = examine("--port", str(free), cwd=tmp_path)
-    assert (status, wrong(findings)) == (0, [])
+    assert (status, wrong(findings)) == (1 if BLIND else 0, BLIND)
     assert findings[f"port {free}"]["status"] == "ok"
     assert findings["probe of mujoco"]["value"] == probe(load_backend("mujoco"))
     assert findings["engine pymunk"]["value"] == load_backend("pymunk").version()
     assert "film" in findings["extras"]["value"]
-    assert findings["graphics"]["value"].startswith("OpenGL through ")
+    assert BLIND or findings["graphics"]["value"].startswith("OpenGL through ")
     assert {"nmes", "python", "arenas", "this folder", "temporary folder", "open files"} <= findings.keys()
 
 
@@ -53,7 +57,7 @@ def test_a_table_shows_the_same_and_a_port_that_is_taken_is_a_note(tmp_path: Pat
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         result = subprocess.run(
-            [NMES, "doctor", "--port", port], cwd=tmp_path, capture_output=True, text=True, check=True
+            [NMES, "doctor", "--port", port], cwd=tmp_path, capture_output=True, text=True, check=not BLIND
         )
     lines = [line.split() for line in result.stdout.splitlines()]
     assert ["ok", "engine", "mujoco", load_backend("mujoco").version()] in lines
@@ -109,7 +113,7 @@ def test_engines_that_break_and_packages_that_are_missing_are_wrong(tmp_path: Pa
     (tmp_path / "broken_engines.py").write_text(ENGINES)
     status, findings = examine(cwd=tmp_path, **plant)
     assert status == 1
-    assert wrong(findings) == ["packages", "engine Absent", "engine exiting", "probe of Dividing"]
+    assert wrong(findings) == ["packages", "engine Absent", "engine exiting", "probe of Dividing", *BLIND]
     assert "cannot be loaded" in findings["engine Absent"]["value"]
     assert "SystemExit: 3" in findings["engine exiting"]["value"]
     assert "ZeroDivisionError" in findings["probe of Dividing"]["value"]

@@ -11,6 +11,7 @@ from PIL import Image, ImageSequence
 from command_line import run
 from nmes.recording import Recording
 from nmes.world import World
+from opengl import with_opengl
 from recordings import record, send
 
 
@@ -51,6 +52,7 @@ def test_seconds_count_from_the_beginning_of_a_recording(recording: Path, tmp_pa
     assert "begins at frame 60" in run("replay", late, "--from", "59").stderr
 
 
+@with_opengl
 def test_films_are_cut_at_frames_and_at_seconds(recording: Path, tmp_path: Path) -> None:
     pictures = []
     for name, last in (("frames.gif", "30"), ("seconds.gif", "0.5s")):
@@ -61,6 +63,7 @@ def test_films_are_cut_at_frames_and_at_seconds(recording: Path, tmp_path: Path)
     assert pictures[0] == pictures[1] > 1
 
 
+@with_opengl
 def test_a_frame_that_is_another_moment_in_each_recording_is_refused(recording: Path, tmp_path: Path) -> None:
     slow = record(tmp_path / "slow.mcap", falling, {"tick_rate": 30})
     refused = run("render", recording, slow, "-o", tmp_path / "x.png", "--to", "30")

@@ -34,6 +34,7 @@ from nmes.genome import Genome
 from nmes.protocol import parse, request_from
 from nmes.recording import Recorder, Recording
 from nmes.world import World
+from opengl import with_opengl
 from recordings import Line, rewrite
 
 NMES = str(Path(sys.executable).parent / "nmes")
@@ -276,6 +277,7 @@ def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
     print(f"10,002 entries shown in {seconds:.2f} s")
 
 
+@with_opengl
 def test_a_leaderboard_page_is_one_file_with_a_picture_of_each_creature(board: Path, tmp_path: Path) -> None:
     page = tmp_path / "board.html"
     result = run("export", board, "-o", page)

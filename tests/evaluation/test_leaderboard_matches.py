@@ -17,6 +17,7 @@ from nmes.evaluation import MatchTask, play, prove_match
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.leaderboard_entry import facts
 from nmes.genome import Genome
+from opengl import OPENGL
 
 # Whoever has come farther towards the other has more, and both have both sides.
 RACE = {
@@ -213,7 +214,8 @@ def test_a_board_of_pairs_is_packed_imported_and_shown_as_a_page(board: Path, tm
     assert run("export", board, "-o", page).exit_code == 0
     text = page.read_text()
     assert text.count("<li>") == 3 and "seed 3, side 1" in text and "seed 4, side 2" in text
-    assert text.count('src="data:image/gif;base64,') == 1 and text.count('src="data:image/png;base64,') == 2
+    films = 1 if OPENGL else 0  # of the best
+    assert text.count('src="data:image/gif;base64,') == films and text.count('src="data:image/png;base64,') == 3 - films
 
 
 def test_a_forged_match_is_not_listed(tmp_path: Path, races: list[str]) -> None:

@@ -25,6 +25,7 @@ from nmes.cli import main
 from nmes.protocol import parse
 from nmes.recording import Kind, Recording
 from nmes.world import World
+from opengl import with_opengl
 from recordings import Line, busy, record, rewrite, send
 
 
@@ -112,7 +113,9 @@ def test_no_command_writes_over_what_it_reads(
     assert {path.name for path in tmp_path.iterdir()} == {"run.gif", "key.pem", output.name}
 
 
-@pytest.mark.parametrize("command", WRITERS)
+@pytest.mark.parametrize(
+    "command", [pytest.param(each, marks=with_opengl) if each == "render" else each for each in WRITERS]
+)
 def test_a_full_disk_costs_no_older_file_and_leaves_no_half_one(
     command: str, busy_file: Path, lighter_file: Path, tmp_path: Path, key: Path
 ) -> None:

@@ -21,6 +21,7 @@ from layout import ROOT
 from nmes.evaluation import Task, evaluate, prove
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.genome import Genome
+from opengl import OPENGL
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, WebSocketRoute
@@ -327,11 +328,13 @@ def test_one_entry_of_a_leaderboard_is_verified(browser: Browser, lab: Lab, tmp_
         film = page.get_by_role("button", name="Film wave")
         film.hover()
         page.get_by_text(re.compile(r"nmes render \S+dash.recordings/\w+.mcap -o \S+gif")).first.wait_for()
-        film.click()
-        picture = page.get_by_alt_text("A film of wave on dash")
-        picture.wait_for(timeout=4 * PATIENCE)
-        until(page, lambda: picture.evaluate("film => film.complete && film.naturalWidth") == 480)
-        assert (lab.folder / "films").is_dir() and serious(page) == []
+        if OPENGL:
+            film.click()
+            picture = page.get_by_alt_text("A film of wave on dash")
+            picture.wait_for(timeout=4 * PATIENCE)
+            until(page, lambda: picture.evaluate("film => film.complete && film.naturalWidth") == 480)
+            assert (lab.folder / "films").is_dir()
+        assert serious(page) == []
         page.set_viewport_size({"width": 360, "height": 740})
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
 

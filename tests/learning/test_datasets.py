@@ -26,6 +26,7 @@ from nmes.cli import main
 from nmes.evaluation import Task, evaluate
 from nmes.genome import Genome
 from nmes.learning import RecordedEpisode, lerobot, read_episodes, spaces
+from opengl import with_opengl
 from processes import NMES
 
 SEEDS = (4, 2, 7)
@@ -276,6 +277,7 @@ def test_a_creature_with_one_sensor_and_one_motor_has_plain_columns(tmp_path: Pa
     assert loaded.info["features"]["observation.state"]["shape"] == [1] and {*loaded.column("action")[:, 0]} == {0.5}
 
 
+@with_opengl
 def test_videos_of_lerobot_have_a_picture_for_each_tick(proofs: list[Path], tmp_path: Path) -> None:
     paths = []
     for number, duration in enumerate((0.1, 0.15)):  # pictures cost much where no graphics card draws them

@@ -16,6 +16,7 @@ from ecosystems import config
 from nmes import World
 from nmes.recording import Kind, Recorder, Recording
 from nmes.view.life_curves import life_curves
+from opengl import with_opengl
 from recordings import Line, rewrite
 
 TICKS = 160
@@ -84,6 +85,7 @@ def test_a_plot_of_an_ecosystem_has_its_curves(recording: Path, tmp_path: Path) 
     assert "contacts" not in picture
 
 
+@with_opengl
 def test_a_picture_shows_food_where_it_is(tmp_path: Path) -> None:
     pictures = []
     for start in (0, 40):
