@@ -5,17 +5,18 @@ Left out are the three at the top of README.md, by which its picture was made: t
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import gettempdir
 
 import pytest
 
@@ -105,9 +106,18 @@ def type_program(code: str, folder: Path) -> None:
 
 @pytest.fixture
 def usual_port() -> Iterator[None]:
-    """Port 14000, which hosts take where nothing else is said: one test at a time may."""
-    with (Path(gettempdir()) / "nmes-tests-14000.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    """Port 14000, which hosts take where nothing else is said: one test at a time may, whoever runs it.
+
+    A file as a lock would be the first user's.
+    """
+    with socket.socket() as lock:
+        while True:
+            try:
+                lock.bind(("127.0.0.1", 13_999))
+                break
+            except OSError as error:
+                assert error.errno == errno.EADDRINUSE, error
+                time.sleep(0.1)
         yield
 
 
