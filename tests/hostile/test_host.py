@@ -490,7 +490,7 @@ def test_tls_handshakes_are_counted() -> None:
 
 
 def test_who_guesses_is_not_heard_for_a_while_and_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Guesses, "ADDRESS", (10, 0.5))
+    monkeypatch.setattr(Guesses, "ADDRESS", (10, 0.001))
     with served() as server:
         wrong = {"type": "auth", "password": "guess"}
         for _ in range(Guesses.ADDRESS[0]):
