@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from importlib.util import find_spec
 
 import pytest
 
 from layout import PROJECT, ROOT
 from nmes.backend import CAPABILITIES, load_backend
+from opengl import OPENGL
 
 BUILT_IN = sorted(PROJECT["project"]["entry-points"]["nmes.backends"])
 
@@ -37,5 +39,8 @@ def test_every_built_in_engine_has_a_row() -> None:
 def test_an_engine_has_the_capabilities_of_its_row(name: str) -> None:
     listed = re.findall(r"`([^`]+)`", table("engine | capabilities")[name])
     assert len(set(listed)) == len(listed)
+    missing = set() if find_spec("labmaze") else {"scene.arena"}  # it has no wheels for Python 3.13
+    missing |= set() if OPENGL else {"camera"}
     backend = load_backend(name)
-    assert set(listed) == backend.capabilities | backend.lacking.keys()
+    assert backend.lacking.keys() == missing & set(listed)
+    assert set(listed) - missing == backend.capabilities
