@@ -54,10 +54,14 @@ class FieldReader:
     def axis(self, kind: str, value: Sequence[float]) -> Vector:
         """Reads the axis of a joint of some type as a unit vector.
 
+        In a planar world a hinge turns about z and a slide moves in the plane; a conetwist twists about z where that is
+        its axis, and others do nothing with theirs.
+
         Raises:
             WorldError: `invalid`: it has no direction.
         """
-        unit = unit_vector(self.turn(value) if kind == "hinge" else self.position(value))
+        read = {"hinge": self.turn, "slide": self.position}.get(kind, vector)
+        unit = unit_vector(read(value))
         if unit is None:
             raise WorldError("invalid", "axis: must have a direction, and in a planar world one in it", "axis")
         return unit

@@ -287,6 +287,39 @@ def test_a_planar_body_can_be_spawned_in_the_planar_engine() -> None:
     assert place("sense", creature="worm")["values"][0:6:2] == pytest.approx([0.5] * 3, abs=0.05)
 
 
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 0, 1], [0, 0.000001, -1000]])
+@pytest.mark.parametrize("kind", ["hinge", "slide", "fixed", "pin", "conetwist"])
+def test_a_planar_world_has_all_of_a_body_or_nothing_whatever_the_axes_of_its_joints(
+    kind: str, axis: list[float]
+) -> None:
+    genome = crawler(2)
+    (joint,) = genome["body"]["joints"]
+    genome["body"]["joints"] = [
+        {**{end: joint[end] for end in ("id", "cube1", "cube2", "anchor")}, "type": kind, "axis": axis}
+    ]
+    place = Place(backend="pymunk")
+    before, reply = place.world.digest(), place("spawn_creature", genome=genome, name="it")
+    if reply["type"] == "error":
+        assert kind not in ("fixed", "pin") and (reply["code"], reply["field"]) == ("unsupported", "genome/body")
+        assert place.world.digest() == before and not place.world.cubes()
+        return
+    assert (len(place.world.cubes()), len(place.world.joints())) == (2, 1)
+    place("spawn_creature", genome={**genome, "later": ["s1"]}, name="bud", position=[5, 0, 0])
+    assert place("grow", creature="bud", part="s1")["type"] == "part_grown"
+    assert (len(place.world.cubes()), len(place.world.joints())) == (4, 2)
+
+
+def test_a_conetwist_of_a_planar_world_twists_where_its_axis_leaves_the_plane() -> None:
+    place = Place(backend="pymunk", gravity=[0, 0, 0])
+    place("spawn_cube", cube_name="a", position=[0, 5, 0])
+    place("spawn_cube", cube_name="b", position=[1, 5, 0])
+    joint = place("create_joint", cube1="a", cube2="b", joint_type="conetwist", axis=[0, 0, 2])
+    assert place("get_joint_info", joint_name=joint["joint_name"])["axis"] == [0, 0, 1]
+    for kind, axis in (("hinge", [1, 0, 0]), ("slide", [0, 0, 1])):
+        reply = place("create_joint", cube1="a", cube2="b", joint_type=kind, axis=axis)
+        assert (reply["code"], reply["field"]) == ("invalid", "axis")
+
+
 @pytest.mark.parametrize("backend", ["mujoco", "pymunk", "ballistic"])
 def test_a_creature_s_history_is_reproduced_on_any_engine(backend: str, tmp_path: Path) -> None:
     genome = crawler(2)
