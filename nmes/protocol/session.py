@@ -279,10 +279,10 @@ class Session:
             return request
         if request.type != "auth" and not any(secret in request.raw for secret in self._secrets):
             return request
-        if request.type == "auth":
-            kind, error = "auth", request.error
-        else:
-            kind, error = None, RejectedMessage(request.error.code, "this frame is no command, and holds the password")
+        kind, error = request.type, request.error
+        if kind != "auth":
+            kind = kind if kind in COMMANDS else None  # the raw dialect is silent by it
+            error = RejectedMessage(error.code, "this frame is no command, and holds the password")
         number = request.id
         if number is not NO_ID and any(secret in encode(number) for secret in self._secrets):
             number = NO_ID

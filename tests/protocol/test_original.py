@@ -429,6 +429,19 @@ def test_a_password_in_a_frame_that_is_translated_and_refused_is_not_kept(passwo
         assert request.error is not None and password not in request.error.message
 
 
+@pytest.mark.parametrize("kind", ["spawn_cube", "despawn_cube", "freeze_cube"])
+def test_silence_after_a_refused_command_does_not_hang_on_the_password(kind: str) -> None:
+    answers = []
+    for password in (b"cube", b"type", b"open sesame"):
+        session = Session()
+        session.receive(password + DELIMITER)
+        session.accept({})
+        request = session.redacted(session.parse(json.dumps({"type": kind, "cube_name": 7}).encode()))
+        assert request.error is not None and request.command is None
+        answers.append(session.reply(request, b'{"type":"error"}'))
+    assert answers == [b""] * 3
+
+
 @pytest.mark.parametrize(
     "said",
     [
