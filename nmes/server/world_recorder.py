@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from nmes.errors import RecordingError
 from nmes.playback.fork import fork
@@ -64,21 +64,15 @@ class WorldRecorder:
             raise RecordingError("recording_failed", f"cannot make {directory}: {error.strerror}") from error
         self._world = world
         self.path = new_recording_path(directory, world.config["name"])
+        options: dict[str, Any] = {
+            "pose_rate": _POSES if world.life is None else _POSES_OF_LIFE,
+            "flush_interval": flush_interval,
+            "about": about_maker(maker),
+        }
         if origin is None:
-            pose_rate = _POSES if world.life is None else _POSES_OF_LIFE
-            self._recorder = Recorder(
-                self.path, world, pose_rate=pose_rate, flush_interval=flush_interval, about=about_maker(maker)
-            )
-            world.journal = self._recorder
+            self._recorder = world.journal = Recorder(self.path, world, **options)
         else:
-            self._recorder = fork(
-                origin.recording,
-                world,
-                self.path,
-                origin.frame,
-                about=about_maker(maker),
-                flush_interval=flush_interval,
-            )
+            self._recorder = fork(origin.recording, world, self.path, origin.frame, **options)
         self._flushed = monotonic()
 
     @property

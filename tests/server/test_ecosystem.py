@@ -5,10 +5,12 @@ from __future__ import annotations
 import signal
 from pathlib import Path
 
-from nmes import Client
+from ecosystems import config, run
+from nmes import Client, World
 from nmes.genome import Genome
 from nmes.playback import replay
 from nmes.recording import Kind, Recording
+from nmes.server.world_recorder import Origin, WorldRecorder
 from processes import process, ready
 from servers import PASSWORD, PATIENCE
 
@@ -36,6 +38,21 @@ def test_a_served_ecosystem_lives_by_itself_and_clients_take_part(tmp_path: Path
     assert lines[0] is not None and [event["cause"] for event in lines[0]["events"][:30]] == ["founder"] * 30
     assert replay(recording).verdict == "reproduced"
     assert replay(recording, first=recording.summary().ticks).verdict == "reproduced"
+
+
+def test_a_recording_that_goes_on_has_poses_as_often_as_its_parent(tmp_path: Path) -> None:
+    counts, origin = [], None
+    for _ in range(2):
+        world = World(config())
+        recorder = WorldRecorder(world, tmp_path, 1.0, origin)
+        first = world.frame
+        run(world, 80)
+        recorder.close()
+        world.close()
+        origin = Origin.end(recorder.path)
+        assert world.frame - first == 80
+        counts.append(sum(record.kind is Kind.POSES for record in origin.recording))
+    assert counts == [8, 8]  # twice a second, of 20 ticks
 
 
 def test_a_config_that_is_neither_a_file_nor_shipped_is_refused() -> None:
