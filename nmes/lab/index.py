@@ -12,6 +12,7 @@ import sqlite3
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from itertools import islice
 from math import inf
 from time import monotonic
 from typing import Any, Final, TypeVar
@@ -19,22 +20,26 @@ from typing import Any, Final, TypeVar
 import orjson
 
 from nmes.errors import NmesError
+from nmes.evaluation import episode, match_task
 from nmes.evolution.run_folder import SETTINGS, read_settings
 from nmes.lab.folder import Folder, Kind
-from nmes.recording import Recording
-from nmes.schemas.documents import JsonObject
+from nmes.protocol.messages import parse
+from nmes.recording import Recording, records
+from nmes.schemas.documents import JsonObject, parse_document
 from nmes.schemas.files import names_another_file, open_regular
 
 __all__ = ["PAGE", "Index"]
 
 PAGE: Final = 100
-_VERSION: Final = 1
+_VERSION: Final = 2
 _AGAIN: Final = 2.0  # s after which a folder is looked through again where that takes long
 _LONG: Final = 0.02  # s that looking through a folder may take before a list waits for it no more
 _STEP: Final = 0.05  # s of reading before others have their turn
 _LARGEST: Final = 64 << 20  # bytes of a file that is read for a list
 _LONGEST: Final = 200  # characters of what is shown of settings
 _GREATEST: Final = 2**53  # whole number of these
+_BEGINNING: Final = 100  # records of an episode among which its creatures are looked for
+_EPISODES: Final = (episode.METADATA, match_task.METADATA)
 _TABLE: Final = (
     "CREATE TABLE IF NOT EXISTS things (kind TEXT NOT NULL, name TEXT NOT NULL, time REAL NOT NULL, "
     "size INTEGER NOT NULL, details TEXT, PRIMARY KEY (kind, name)) STRICT, WITHOUT ROWID",
@@ -191,12 +196,32 @@ def _recording(folder: Folder, name: str) -> JsonObject:
         recording = Recording(folder.find("recordings", name))
         config = recording.config
         told = {field: config[field] for field in ("backend", "seed", "mode", "tick_rate")}
-        about = recording.metadata.get("nmes.evaluation", {})
-        told |= {"world": config["name"], "creature": about.get("genome"), "task": about.get("task_name")}
+        told |= {"world": config["name"], **_episode(recording)}
         told["frames"] = recording.last_frame if recording.size <= _LARGEST else None
     except (NmesError, OSError) as error:
         return {"error": str(error)}
     return told
+
+
+def _episode(recording: Recording) -> JsonObject:
+    """Returns what a recorded episode says that it is of, by their names: its creatures, and the task.
+
+    Raises:
+        DocumentError: Its task is no document.
+    """
+    about = next((recording.metadata[name] for name in _EPISODES if name in recording.metadata), None)
+    if about is None:
+        return {"creature": None, "task": None}
+    task = parse_document(about.get("task", "").encode())
+    creatures = []
+    for record in islice(recording, _BEGINNING):
+        if record.kind is records.Kind.TICKS:
+            break
+        command = parse(record.data).command if record.kind is records.Kind.COMMAND else None
+        if command is not None and command["type"] == "spawn_creature":
+            creatures.append(command["genome"]["name"])
+    named = task.get("name") if isinstance(task, dict) else None
+    return {"creature": _shown(", ".join(creatures)) or None, "task": _shown(named)}
 
 
 def _run(folder: Folder, name: str) -> JsonObject:

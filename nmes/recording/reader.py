@@ -173,7 +173,7 @@ class Recording:
             "engine": config["backend"],
             "pace": f"{config['tick_rate']} ticks a second, {config['mode']}",
             "seed": config["seed"],
-            "creature": about.get("genome"),
+            "genome": about.get("genome"),
         }
         return card(f"Recording {self.path.name}", facts)
 

@@ -13,11 +13,13 @@ from click.testing import CliRunner
 
 from labs import RunningLab, running_lab
 from nmes.cli import main
-from nmes.evaluation import Task
+from nmes.evaluation import Task, evaluate
 from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evaluation.match import play
 from nmes.evolution.run import Run
 from nmes.genome import Genome
 from processes import NMES
+from recordings import busy, record
 from servers import PATIENCE, until
 
 WALKER: Any = Genome.load("walker").document
@@ -213,6 +215,19 @@ def test_runs_that_go_on_when_the_lab_ends_can_be_gone_on_with(tmp_path: Path) -
     told = len(Run.open(tmp_path / "lab/runs/long"))
     with running_lab(tmp_path / "lab") as lab:
         assert lab.good("/api/runs/long")["state"] == "paused" and lab.good("/api/runs/long")["told"] == told
+
+
+def test_a_list_of_recordings_names_the_creatures_and_the_task_of_an_episode(tmp_path: Path) -> None:
+    folder = tmp_path / "lab" / "recordings"
+    folder.mkdir(parents=True)
+    evaluate("walker", "walk", seeds=[1], record=folder)
+    play("sumo", {"red": "walker", "blue": "seeker"}, seeds=[1], record=folder)
+    record(folder / "plain.mcap", busy)
+    with running_lab(tmp_path / "lab") as lab:
+        until(lambda: all(each["details"] for each in lab.good("/api/recordings")["items"]))
+        details = [each["details"] for each in lab.good("/api/recordings")["items"]]
+        told = {(each["creature"], each["task"]) for each in details}
+        assert told == {("walker", "walk"), ("walker, seeker", "sumo"), (None, None)}
 
 
 def test_a_long_list_comes_in_pages_the_newest_first(tmp_path: Path) -> None:
