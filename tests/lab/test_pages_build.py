@@ -194,6 +194,8 @@ def test_an_elite_of_an_archive_is_watched_and_kept(browser: Browser, lab: Lab) 
         page.wait_for_function("() => Number(document.querySelector('.watched .stage')?.dataset.drawn) > 5")
         page.locator(".watched ~ .actions").get_by_role("button", name="Save as a genome").click()
         page.get_by_text(f"Saved as kinds-{number}").wait_for()
+        file = lab.folder / "genomes" / f"kinds-{number}.json"
+        assert page.locator("#command").inner_text() == f"nmes genome check {file}"
     kept = Genome.load(lab.folder / "genomes" / f"kinds-{number}.json").document
     run = Run.open(lab.folder / "runs" / "kinds")
     assert {**kept, "name": ""} == {**run.genome(number).document, "name": ""}

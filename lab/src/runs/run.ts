@@ -184,9 +184,9 @@ export class RunView {
     return [
       action({
         label: "Save as a genome", icon: "download",
-        command: () => line("nmes", "evolve", "best", this.name, "-o", "."),
         run: async () => {
-          await put(`/genomes/${part(file)}`, { ...(await this.#genome(candidate)), name: file });
+          const { command } = await put<{ command: string }>(`/genomes/${part(file)}`, { ...(await this.#genome(candidate)), name: file });
+          done(command);
           notify(`Saved as ${file}`, "good");
         },
       }),
