@@ -105,7 +105,7 @@ def command(
 ) -> None:
     """Judge any server by the protocol.
 
-    Plays some eight hundred short conversations with the server and says of each whether it went as the protocol says.
+    Plays over nine hundred short conversations with the server and says of each whether it went as the protocol says.
     What a server may leave out and does not claim is skipped. Some cases search: two clients say anything; what goes
     wrong is shrunk to the shortest conversation and saved as a file in this directory, for --replay. The server's world
     should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.

@@ -289,7 +289,7 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
         nmes serve --dialect original --password-file secret
         nmes serve --worlds 20 --port 14000 --port-step 3
         nmes serve --workers 8 --password-file secret
-        nmes serve --resume recordings/main-20260101-120000.mcap --at 3600
+        nmes serve --resume recordings/main-20260101T120000.123456Z.mcap --at 3600
     """
     settings = read_settings(options)
     sys.setswitchinterval(SWITCH)

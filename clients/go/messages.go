@@ -491,7 +491,7 @@ type Driven struct {
 	Reply
 	// The creature.
 	Creature string `json:"creature"`
-	// Only of a creature that has lost parts: 1 and more with each of them.
+	// Only where it is above 1, as of a creature that lacks parts or has lost or gained some.
 	Layout *int `json:"layout,omitempty"`
 }
 
@@ -998,7 +998,7 @@ type Ping struct {
 }
 
 // Planets: The planets of the world, capitalised as the deployed clients expect. In the raw dialect the object
-// has no key but `planets`.
+// has one key a planet, its name, and a list of that planet alone.
 type Planets struct {
 	Reply
 	// The planets, the one at the origin, or under it, first.
@@ -1128,7 +1128,7 @@ type Senses struct {
 	Creature string `json:"creature"`
 	// One number a sensor, in their order; units as schemas/genome.json says.
 	Values []float64 `json:"values"`
-	// Only of a creature that has lost parts: 1 and more with each of them.
+	// Only where it is above 1, as of a creature that lacks parts or has lost or gained some.
 	Layout *int `json:"layout,omitempty"`
 }
 
@@ -1315,7 +1315,7 @@ type Stepped struct {
 // Subscribe: Asks for events. A second subscribe replaces the first.
 type Subscribe struct {
 	// Which events: tick; state; of a world with life what happens in its ecosystem, whenever it does; and
-	// creatures, when one of them has lost parts. Default: ['tick', 'state'].
+	// creatures, when one of them has lost or gained parts, or develops. Default: ['tick', 'state'].
 	Events []string `json:"events,omitempty"`
 	// Only every so many ticks, from 1 to 1,000,000. Default: 1.
 	Every *int `json:"every,omitempty"`
@@ -1359,7 +1359,8 @@ type Unsubscribed struct {
 type WorldClosedEvent struct {
 }
 
-// WorldFaultEvent: The physics engine cannot go on. Commands are answered with world_faulted until reset.
+// WorldFaultEvent: The world has stopped: its engine cannot go on, its recording cannot be written, or the
+// server made a mistake. Commands are answered with world_faulted until reset.
 type WorldFaultEvent struct {
 	// What went wrong, for programs.
 	Code string `json:"code"`

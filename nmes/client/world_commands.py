@@ -71,7 +71,7 @@ class WorldCommands:
 
         Returns:
             Planets: The planets of the world, capitalised as the deployed clients expect. In the raw dialect the object
-                has no key but `planets`.
+                has one key a planet, its name, and a list of that planet alone.
 
         Raises:
             CommandFailed: The server refused it: `unsupported` or `world_faulted`.
@@ -197,7 +197,7 @@ class WorldCommands:
 
         Args:
             events: Which events: tick; state; of a world with life what happens in its ecosystem, whenever it does; and
-                creatures, when one of them has lost parts. Default: ['tick', 'state'].
+                creatures, when one of them has lost or gained parts, or develops. Default: ['tick', 'state'].
             every: Only every so many ticks, from 1 to 1,000,000. Default: 1.
             position_threshold: How far a cube must have moved since it was last sent to be sent again, in m, from 0 to
                 1,000,000. Default: 0.
@@ -236,7 +236,7 @@ class WorldCommands:
         the replies are over 8 MiB, the rest of the commands is not executed, and each answered with `limit_reached`.
 
         Args:
-            commands: The commands, at most 10,000.
+            commands: The commands, at most 10,000, with at most 10,000 ticks in all.
 
         Returns:
             BatchResult: What became of each command.

@@ -303,7 +303,7 @@ export interface Driven extends Reply {
   readonly type: "driven";
   /** The creature. */
   readonly creature: string;
-  /** Only of a creature that has lost parts: 1 and more with each of them. */
+  /** Only where it is above 1, as of a creature that lacks parts or has lost or gained some. */
   readonly layout?: number;
 }
 
@@ -549,8 +549,8 @@ export interface PhysicsApplied extends Reply {
 }
 
 /**
- * The planets of the world, capitalised as the deployed clients expect. In the raw dialect the object has no key
- * but `planets`.
+ * The planets of the world, capitalised as the deployed clients expect. In the raw dialect the object has one key
+ * a planet, its name, and a list of that planet alone.
  */
 export interface Planets extends Reply {
   readonly type: "planets";
@@ -633,7 +633,7 @@ export interface Senses extends Reply {
   readonly creature: string;
   /** One number a sensor, in their order; units as schemas/genome.json says. */
   readonly values: readonly number[];
-  /** Only of a creature that has lost parts: 1 and more with each of them. */
+  /** Only where it is above 1, as of a creature that lacks parts or has lost or gained some. */
   readonly layout?: number;
 }
 
@@ -1013,7 +1013,10 @@ export interface WorldClosedEvent {
   readonly type: "world_closed";
 }
 
-/** The physics engine cannot go on. Commands are answered with world_faulted until reset. */
+/**
+ * The world has stopped: its engine cannot go on, its recording cannot be written, or the server made a mistake.
+ * Commands are answered with world_faulted until reset.
+ */
 export interface WorldFaultEvent {
   readonly type: "world_fault";
   /** What went wrong, for programs. */
@@ -1648,7 +1651,7 @@ export interface Step {
 export interface Subscribe {
   /**
    * Which events: tick; state; of a world with life what happens in its ecosystem, whenever it does; and
-   * creatures, when one of them has lost parts. Default: ['tick', 'state'].
+   * creatures, when one of them has lost or gained parts, or develops. Default: ['tick', 'state'].
    */
   readonly events?: readonly ("tick" | "state" | "life" | "creatures")[];
   /** Only every so many ticks, from 1 to 1,000,000. Default: 1. */
