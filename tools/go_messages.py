@@ -2,7 +2,8 @@
 
 `python tools/go_messages.py` writes `clients/go/messages.go`; a test compares that with what it would write. A command
 is a struct and a method of the client; replies and events are structs. What a command need not say has a zero value
-that is not sent: "" and nil, and false where that is the default anyway; numbers are pointers (`nmes.Ptr`).
+that is not sent: "" and nil, and false where that is the default anyway; numbers are pointers (`nmes.Ptr`). A list that
+is empty, but not nil, is sent.
 """
 
 from __future__ import annotations
@@ -86,9 +87,11 @@ class _Writer:
         kind, nullable = self._kind(name, schema, sent=sent)
         if required and not nullable:
             return kind, ""
-        omitted = "" if required else ",omitempty"
+        many = kind.startswith(("[]", "map["))
+        # An empty list is something else than none, which stands for the default: `omitempty` would drop both.
+        omitted = "" if required else ",omitzero" if many else ",omitempty"
         plain = kind == "string" or (kind == "bool" and sent and resolved(schema).get("default") is False)
-        if kind.startswith(("[]", "map[")) or kind in ("any", "json.RawMessage") or (plain and not nullable):
+        if many or kind in ("any", "json.RawMessage") or (plain and not nullable):
             return kind, omitted
         return f"*{kind}", omitted
 

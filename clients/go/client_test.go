@@ -99,6 +99,30 @@ func TestACubeIsSpawnedPushedAndRead(t *testing.T) {
 	}
 }
 
+func TestAnEmptyListIsNotTheDefault(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	for _, name := range []string{"one", "two"} {
+		if _, err := client.SpawnCube(ctx, nmes.SpawnCube{CubeName: name}); err != nil {
+			t.Fatal(err)
+		}
+	}
+	all, err := client.GetWorldState(ctx, nmes.GetWorldState{})
+	if err != nil || len(all.Cubes) != 2 {
+		t.Fatal(all, err)
+	}
+	none, err := client.GetWorldState(ctx, nmes.GetWorldState{Cubes: []string{}})
+	if err != nil || len(none.Cubes) != 0 {
+		t.Fatal(none, err)
+	}
+	if _, err := client.SetObjective(ctx, nmes.SetObjective{Expression: "time", Cubes: []string{}}); !nmes.IsCode(err, "invalid") {
+		t.Fatal("it is about the cube that was spawned last: ", err)
+	}
+	if _, err := client.Subscribe(ctx, nmes.Subscribe{Events: []string{}}); !nmes.IsCode(err, "invalid") {
+		t.Fatal("it has subscribed to the usual events: ", err)
+	}
+}
+
 func TestWhatTheServerRefusesIsAnErrorWithItsCode(t *testing.T) {
 	ctx, client := within(t), enter(t, world(t))
 	_, err := client.GetCubeInfo(ctx, nmes.GetCubeInfo{CubeName: "nobody"})

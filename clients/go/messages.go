@@ -194,7 +194,7 @@ type CreateBone struct {
 	// Parameters of the joint by their names: the same as the fields of create_joint, which they override.
 	JointParams *JointParams `json:"joint_params,omitempty"`
 	// Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
-	Notes map[string]float64 `json:"notes,omitempty"`
+	Notes map[string]float64 `json:"notes,omitzero"`
 }
 
 // CreateJoint: Joins two cubes as they stand; their relative pose becomes the joint's zero. Jointed cubes do not
@@ -216,7 +216,7 @@ type CreateJoint struct {
 	Axis *Vector `json:"axis,omitempty"`
 	// Lowest and highest position, in rad (m for a slide), each from -1,000,000 to 1,000,000: limit_lower and
 	// limit_upper in one, enabled. Of a conetwist: the largest swing of its axis and the largest twist about it.
-	Limits []float64 `json:"limits,omitempty"`
+	Limits []float64 `json:"limits,omitzero"`
 	// Velocity that the motor aims at, in rad/s (m/s for a slide), from -100,000 to 100,000. Setting it enables the
 	// motor.
 	MotorTargetVelocity *float64 `json:"motor_target_velocity,omitempty"`
@@ -247,7 +247,7 @@ type CreateJoint struct {
 	// Parameters of the joint by their names: the same as the fields of create_joint, which they override.
 	JointParams *JointParams `json:"joint_params,omitempty"`
 	// Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
-	Notes map[string]float64 `json:"notes,omitempty"`
+	Notes map[string]float64 `json:"notes,omitzero"`
 }
 
 // CreatureBornEvent: A creature lives from now on: born of parents, or come from elsewhere.
@@ -287,7 +287,7 @@ type CreatureChangedEvent struct {
 	// The stage that it is in, if its genome has rules of development.
 	Stage *int `json:"stage,omitempty"`
 	// What rules of its development could not do; absent where nothing was refused. Each is tried again.
-	Refused []CreatureChangedEventRefused `json:"refused,omitempty"`
+	Refused []CreatureChangedEventRefused `json:"refused,omitzero"`
 }
 
 // CreatureChangedEventRefused: A change.
@@ -331,7 +331,7 @@ type CreatureSpawned struct {
 	// The ids of its motors, which are those of their joints, in the order of controls.
 	Motors []string `json:"motors"`
 	// The ids of its voices, in the order of controls, behind the motors. Left out where it has none.
-	Voices []string `json:"voices,omitempty"`
+	Voices []string `json:"voices,omitzero"`
 	// The ids of its sensors, in the order of values.
 	Sensors []string `json:"sensors"`
 	// Where its origin is instead, in m: so that no part of it is inside the ground. Left out where it is where it
@@ -403,7 +403,7 @@ type CubeInfo struct {
 	Gyro *Vector `json:"gyro,omitempty"`
 	// How far it is from the cube's centre to the first surface along each of `rays`, in m; null if there is none
 	// within `max_range`. Only with `rays`.
-	Ranges []*float64 `json:"ranges,omitempty"`
+	Ranges []*float64 `json:"ranges,omitzero"`
 }
 
 // CubeInfoContacts: A contact.
@@ -427,7 +427,7 @@ type CubeList struct {
 	// The cube that was spawned.
 	Spawned string `json:"spawned,omitempty"`
 	// All cubes, in order of creation.
-	Cubes []string `json:"cubes,omitempty"`
+	Cubes []string `json:"cubes,omitzero"`
 	// Where the cube is instead, in m: on top of the ground, which it would have been inside of. Left out where it
 	// is where it was to be.
 	MovedTo *Vector `json:"moved_to,omitempty"`
@@ -569,7 +569,7 @@ type GetCamera struct {
 	// How the camera is turned in the cube's own frame: 3 Euler angles in rad, or a quaternion, each number from
 	// -1,000 to 1,000 and not all of a quaternion nearer to 0 than 0.000001. Unturned it looks along the cube's -z,
 	// with +y upwards. Default: [0, 0, 0].
-	Rotation []float64 `json:"rotation,omitempty"`
+	Rotation []float64 `json:"rotation,omitzero"`
 }
 
 // GetCubeInfo: Reads all about one cube.
@@ -580,7 +580,7 @@ type GetCubeInfo struct {
 	Sensors bool `json:"sensors,omitempty"`
 	// Directions in the cube's own frame in which to measure distances, from its centre. Their lengths do not
 	// matter, but each of their numbers is from -1,000 to 1,000, and one at least 0.000001 in size.
-	Rays []Vector `json:"rays,omitempty"`
+	Rays []Vector `json:"rays,omitzero"`
 	// How far the range finder reaches, in m, from 0.001 to 1,000,000. Default: 100.
 	MaxRange *float64 `json:"max_range,omitempty"`
 }
@@ -633,7 +633,7 @@ type GetWorldInfo struct {
 type GetWorldState struct {
 	// The cubes, at most 10,000 and each once, in the order in which they are wanted; all that there are, in order
 	// of creation, if left out.
-	Cubes []string `json:"cubes,omitempty"`
+	Cubes []string `json:"cubes,omitzero"`
 	// Whether to read each cube's contacts, accelerometer and gyro too.
 	Sensors bool `json:"sensors,omitempty"`
 }
@@ -736,7 +736,7 @@ type JointInfo struct {
 	// servo.
 	Params map[string]json.RawMessage `json:"params"`
 	// What clients keep with it, where there is any.
-	Notes map[string]float64 `json:"notes,omitempty"`
+	Notes map[string]float64 `json:"notes,omitzero"`
 }
 
 // JointList: The joints of the world.
@@ -892,7 +892,7 @@ type LinkBodyCubes struct {
 	// Parameters of the joint by their names: the same as the fields of create_joint, which they override.
 	JointParams *JointParams `json:"joint_params,omitempty"`
 	// Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
-	Notes map[string]float64 `json:"notes,omitempty"`
+	Notes map[string]float64 `json:"notes,omitzero"`
 }
 
 // LinkCubeChains: Joins neighbours in chains of cubes, as they stand: all of them or none, at most 1,000. A
@@ -907,7 +907,7 @@ type LinkCubeChains struct {
 	// Parameters of the joint by their names: the same as the fields of create_joint, which they override.
 	JointParams *JointParams `json:"joint_params,omitempty"`
 	// Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
-	Notes map[string]float64 `json:"notes,omitempty"`
+	Notes map[string]float64 `json:"notes,omitzero"`
 }
 
 // ModeSet: What makes the world tick.
@@ -1149,7 +1149,7 @@ type SetCubeState struct {
 	Position *Vector `json:"position,omitempty"`
 	// 3 Euler angles in rad, applied in the order Y, X, Z, or a quaternion [x, y, z, w], which need not be
 	// normalised but not all of it may be nearer to 0 than 0.000001. Each number is from -1,000 to 1,000.
-	Rotation []float64 `json:"rotation,omitempty"`
+	Rotation []float64 `json:"rotation,omitzero"`
 	// Velocity of the centre of mass, in m/s, each number from -100,000 to 100,000.
 	LinearVelocity *Vector `json:"linear_velocity,omitempty"`
 	// Angular velocity in world axes, in rad/s, each number from -100,000 to 100,000.
@@ -1179,7 +1179,7 @@ type SetJointParams struct {
 	Params JointParams `json:"params"`
 	// Numbers by name to keep with the joint, beside those that it has, at most 32 in all. They have no effect;
 	// get_joint_info tells them.
-	Notes map[string]float64 `json:"notes,omitempty"`
+	Notes map[string]float64 `json:"notes,omitzero"`
 }
 
 // SetMode: Sets what makes the world tick.
@@ -1208,7 +1208,7 @@ type SetObjective struct {
 	Name string `json:"name,omitempty"`
 	// The body that it is about, 1 to 256 cubes; without these and a creature, the one cube that this connection
 	// spawned last.
-	Cubes []string `json:"cubes,omitempty"`
+	Cubes []string `json:"cubes,omitzero"`
 	// The creature that it is about; the expression then knows its cubes by their ids. Not together with cubes.
 	Creature string `json:"creature,omitempty"`
 	// Where distance is measured from, in m, each number from -1,000,000 to 1,000,000; where the body is now if left
@@ -1256,9 +1256,9 @@ type SpawnCube struct {
 	// 3 Euler angles in rad, applied in the order Y, X, Z, or a quaternion [x, y, z, w], which need not be
 	// normalised but not all of it may be nearer to 0 than 0.000001. Each number is from -1,000 to 1,000. Default:
 	// [0, 0, 0].
-	Rotation []float64 `json:"rotation,omitempty"`
+	Rotation []float64 `json:"rotation,omitzero"`
 	// The edge of a cube, or the 3 edges of a box (x, y, z), in m, from 0.001 to 1,000. Default: 1.
-	Size []float64 `json:"size,omitempty"`
+	Size []float64 `json:"size,omitzero"`
 	// What fills the box that `size` says: all of it (box), or a sphere, which has three equal edges, or a capsule
 	// or a cylinder, which has two and lies along the third (along y where all three are equal; a capsule is longer
 	// than it is wide). One of box, sphere, capsule, cylinder. Default: box.
@@ -1271,7 +1271,7 @@ type SpawnCube struct {
 	Restitution *float64 `json:"restitution,omitempty"`
 	// Colour as red, green, blue and, if given, opacity, each from 0 to 1. It has no effect on the physics. Default:
 	// [0.8, 0.8, 0.8, 1].
-	Color []float64 `json:"color,omitempty"`
+	Color []float64 `json:"color,omitzero"`
 	// Its collision group, one of the world's (config): with whom it collides. If left out it meets everything.
 	Group string `json:"group,omitempty"`
 	// Whether it starts frozen, `_BASE` appended to its name.
@@ -1316,7 +1316,7 @@ type Stepped struct {
 type Subscribe struct {
 	// Which events: tick; state; of a world with life what happens in its ecosystem, whenever it does; and
 	// creatures, when one of them has lost or gained parts, or develops. Default: ['tick', 'state'].
-	Events []string `json:"events,omitempty"`
+	Events []string `json:"events,omitzero"`
 	// Only every so many ticks, from 1 to 1,000,000. Default: 1.
 	Every *int `json:"every,omitempty"`
 	// How far a cube must have moved since it was last sent to be sent again, in m, from 0 to 1,000,000.
@@ -1401,7 +1401,7 @@ type WorldInfo struct {
 	// How many there may be.
 	Limits WorldInfoLimits `json:"limits"`
 	// The skeletons that bones were created in, in order of their oldest bones.
-	Skeletons []WorldInfoSkeletons `json:"skeletons,omitempty"`
+	Skeletons []WorldInfoSkeletons `json:"skeletons,omitzero"`
 	// The optional commands that are served, and what the engine can do (`joint.pin`, `motor`), sorted.
 	Capabilities []string `json:"capabilities"`
 	// Why the world is faulted, or null.
@@ -1526,7 +1526,7 @@ type WorldStateCubes struct {
 	// Angular velocity in world axes, in rad/s.
 	AngularVelocity Vector `json:"angular_velocity"`
 	// What it touched in the last engine step, and touches still if it sleeps.
-	Contacts []WorldStateCubesContacts `json:"contacts,omitempty"`
+	Contacts []WorldStateCubesContacts `json:"contacts,omitzero"`
 	// Acceleration of the centre less that of free fall, in m/s^2, along the cube's own axes, in the last engine
 	// step: 0 in free fall, 9.81 upwards at rest. Only with `sensors`.
 	Accelerometer *Vector `json:"accelerometer,omitempty"`
