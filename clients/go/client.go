@@ -58,7 +58,8 @@ func (o Options) password() (string, error) {
 
 // Client is a connection to a world. It is safe for any number of goroutines.
 type Client struct {
-	address string
+	address  string
+	entering chan struct{} // full while somebody enters
 
 	mu      sync.Mutex // guards what follows; the connection has a lock of its own
 	options Options
@@ -75,7 +76,7 @@ func Dial(ctx context.Context, address string, options Options) (*Client, error)
 	if options.Password, err = options.password(); err != nil {
 		return nil, err
 	}
-	client := &Client{address: address, options: options}
+	client := &Client{address: address, entering: make(chan struct{}, 1), options: options}
 	if err := client.enter(ctx); err != nil {
 		return nil, err
 	}
@@ -118,9 +119,20 @@ func (c *Client) Welcome() AuthSuccess {
 }
 
 // Reconnect closes the connection and enters again: in a world with roles as the same player, while the server runs.
-// Subscriptions and objectives are gone; commands that wait for replies fail, and Events gives a new channel.
+// Subscriptions and objectives are gone; commands that wait for replies fail, and Events gives a new channel. Of those
+// who call it at once, one enters, and the others share his connection.
 func (c *Client) Reconnect(ctx context.Context) error {
-	c.Close()
+	before := c.current()
+	select {
+	case c.entering <- struct{}{}:
+		defer func() { <-c.entering }()
+	case <-ctx.Done():
+		return ctx.Err()
+	}
+	if c.current() != before {
+		return nil
+	}
+	before.close()
 	return c.enter(ctx)
 }
 

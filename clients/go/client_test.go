@@ -392,6 +392,42 @@ func TestWhoComesBackIsTheSamePlayer(t *testing.T) {
 	defer other.Close()
 }
 
+// Goroutines that share a client find together that its connection is lost.
+func TestThoseWhoReconnectAtOnceLeaveOneConnection(t *testing.T) {
+	address := world(t)
+	ctx, client, other := within(t), enter(t, address), enter(t, address)
+	client.Close()
+	var group sync.WaitGroup
+	failures := make(chan error, 8)
+	for range cap(failures) {
+		group.Add(1)
+		go func() {
+			defer group.Done()
+			failures <- client.Reconnect(ctx)
+		}()
+	}
+	group.Wait()
+	close(failures)
+	for err := range failures {
+		if err != nil {
+			t.Fatal(err)
+		}
+	}
+	if _, err := client.Ping(ctx); err != nil {
+		t.Fatal(err)
+	}
+	client.Close()
+	for {
+		info, err := other.GetWorldInfo(ctx) // until the server has noticed
+		if err != nil {
+			t.Fatal("connections are left open: ", err)
+		}
+		if info.Counts.Clients == 1 {
+			return
+		}
+	}
+}
+
 func TestAContextThatEndsLeavesTheConnectionGood(t *testing.T) {
 	ctx, client := within(t), enter(t, world(t))
 	lockstep(t, client)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
+from functools import cached_property
 from types import TracebackType
 from typing import Any, Self, cast
 
@@ -33,6 +34,11 @@ class AsyncClient(ClientBase, AsyncCommands):
 
     _link: _Link | None = None
 
+    @cached_property
+    def _entering(self) -> asyncio.Lock:
+        """Held by the task that enters the world: to connect takes several turns of the loop, in which others run."""
+        return asyncio.Lock()
+
     async def __aenter__(self) -> Self:
         return self if self._link is not None else await self.connect()
 
@@ -54,6 +60,10 @@ class AsyncClient(ClientBase, AsyncCommands):
             RuntimeError: The client is connected already.
             TimeoutError: No reply came in time.
         """
+        async with self._entering:
+            return await self._join()
+
+    async def _join(self) -> Self:
         self._entered(await self._enter(world=self.world, role=self.role, token=self.token))
         return self
 
@@ -150,15 +160,20 @@ class AsyncClient(ClientBase, AsyncCommands):
     async def reconnect(self) -> Self:
         """Closes the connection and connects anew, as another client of the world; with roles, as the same player.
 
-        Subscriptions, objectives and events that were not yet read are gone.
+        Subscriptions, objectives and events that were not yet read are gone. Of the tasks that call it at once, one
+        connects, and the others share its connection.
 
         Raises:
             CommandFailed: The server refused it, as at `connect`.
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             TimeoutError: No reply came in time.
         """
-        await self.close()
-        return await self.connect()
+        before = self._welcome
+        async with self._entering:
+            if self._link is not None and self._welcome is not before:
+                return self
+            await self.close()
+            return await self._join()
 
     async def close(self) -> None:
         """Closes the connection; the cubes that this client spawned stay in the world."""

@@ -546,6 +546,16 @@ async def test_many_tasks_share_a_connection(server: Served) -> None:
         await client.ping()
 
 
+async def test_tasks_that_enter_at_once_make_one_connection(server: Served) -> None:
+    client = async_client(server)
+    outcomes = await asyncio.gather(*(client.connect() for _ in range(3)), return_exceptions=True)
+    assert [type(outcome) for outcome in outcomes] == [AsyncClient, RuntimeError, RuntimeError]
+    await asyncio.gather(*(client.reconnect() for _ in range(8)))
+    assert client.welcome["client"] == 2
+    assert await client.ping() == {"type": "pong"}
+    await client.close()
+
+
 async def test_events_can_be_awaited(server: Served) -> None:
     seen: list[Event] = []
     async with async_client(server) as client, async_client(server, on_event=seen.append) as other:

@@ -46,6 +46,7 @@ export class Client extends Commands {
   #welcome!: AuthSuccess;
   #connection!: Connection;
   #token: string | undefined;
+  #entering: Promise<void> | undefined; // while somebody reconnects
 
   private constructor(
     private readonly dial: Dial,
@@ -120,11 +121,15 @@ export class Client extends Commands {
 
   /**
    * Closes the connection and enters again: in a world with roles as the same player, while the server runs.
-   * Subscriptions, objectives and events that were not read are gone.
+   * Subscriptions, objectives and events that were not read are gone. Of those who call it at once, one enters, and the
+   * others share his connection.
    */
-  async reconnect(): Promise<void> {
-    this.close();
-    await this.#enter();
+  reconnect(): Promise<void> {
+    if (this.#entering === undefined) {
+      this.close();
+      this.#entering = this.#enter().finally(() => (this.#entering = undefined));
+    }
+    return this.#entering;
   }
 
   /** Ends the connection; commands that wait for replies fail. It may be called more than once. */

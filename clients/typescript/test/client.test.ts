@@ -112,6 +112,16 @@ test("a client enters again as somebody new", async () => {
   other.close();
 });
 
+test("who enter again at once make one connection", async () => {
+  const other = await connect({ port });
+  const number = other.welcome.client;
+  await Promise.all(Array.from({ length: 8 }, () => other.reconnect()));
+  assert.equal(other.welcome.client, number + 1);
+  await other.reconnect();
+  assert.equal(other.welcome.client, number + 2);
+  other.close();
+});
+
 test("a wrong password, a wrong world and a closed port are told", async () => {
   await assert.rejects(connect({ port, password: "wrong" }), { name: "CommandError", code: "auth_failed" });
   await assert.rejects(connect({ port, world: "nowhere" }), { name: "CommandError", code: "world_not_found" });
