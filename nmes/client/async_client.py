@@ -180,7 +180,7 @@ class AsyncClient(ClientBase, AsyncCommands):
         if self._link is not None:
             link, self._link = self._link, None
             self._conversation.lose(Disconnected("not_connected", "the client was closed"))
-            link.transport.close()
+            link.transport.abort()  # else a server that does not read, or says no farewell in TLS, would keep us
             await link.closed.wait()
 
     async def request(self, message: Mapping[str, Any]) -> Any:

@@ -586,6 +586,20 @@ async def test_closing_while_a_reply_is_awaited_raises() -> None:
             await waiting
 
 
+async def test_a_client_closes_though_the_server_has_stopped_reading() -> None:
+    closed = threading.Event()
+    with scripted(lambda end: closed.wait()) as port:
+        client = await AsyncClient(port=port, password="x", timeout=PATIENCE).connect()
+        client.timeout = 0.05
+        with pytest.raises(TimeoutError):
+            await client.request({"type": "ping", "more": "x" * (64 << 20)})
+        try:
+            async with asyncio.timeout(PATIENCE):
+                await client.close()
+        finally:
+            closed.set()
+
+
 async def test_a_late_reply_is_dropped_by_the_awaiting_client_too() -> None:
     ready = threading.Event()
 

@@ -6,6 +6,7 @@ import asyncio
 import json
 import socket
 import ssl
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -73,6 +74,31 @@ def test_a_blocking_client_reads_megabytes_over_tls(server: Served, trust: ssl.S
 async def test_an_awaiting_client_connects_over_tls(server: Served, trust: ssl.SSLContext) -> None:
     async with AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE, tls=trust) as client:
         assert (await client.step(3))["frame"] == 3
+
+
+async def test_an_awaiting_client_closes_without_the_leave_of_a_server_that_says_nothing(
+    identity: ssl.SSLContext, trust: ssl.SSLContext
+) -> None:
+    closed = threading.Event()
+
+    def serve(listener: socket.socket) -> None:
+        connection, _ = listener.accept()
+        with identity.wrap_socket(connection, server_side=True) as secure:
+            secure.recv(1 << 16)
+            secure.sendall(b'{"type":"auth_success"}' + DELIMITER)
+            closed.wait()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=serve, args=[listener])
+        thread.start()
+        port = listener.getsockname()[1]
+        try:
+            client = await AsyncClient(port=port, password="x", timeout=PATIENCE, tls=trust).connect()
+            async with asyncio.timeout(PATIENCE / 2):  # asyncio by itself would ask for 30 s
+                await client.close()
+        finally:
+            closed.set()
+            thread.join(PATIENCE)
 
 
 async def test_a_client_without_tls_is_told_that_the_server_may_speak_it(server: Served) -> None:
