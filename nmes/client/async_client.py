@@ -245,6 +245,18 @@ class AsyncClient(ClientBase, AsyncCommands):
             except TimeoutError:
                 return
 
+    def deliver(self) -> None:
+        """Hands the events received so far to `on_event`; what that raises, the loop's exception handler is told.
+
+        No task has called, and asyncio would take the error for one of the connection, and end that.
+        """
+        while self.on_event is not None and self._queue:
+            try:
+                super().deliver()
+            except (Exception, asyncio.CancelledError) as error:
+                told = {"message": "on_event of an AsyncClient has raised", "exception": error}
+                asyncio.get_running_loop().call_exception_handler(told)
+
     async def _exchange(self, calls: Sequence[Pending[Any]]) -> None:
         if calls:
             data = self._conversation.request(calls)

@@ -159,7 +159,8 @@ class ClientBase:
             tls: True speaks TLS with a server whose certificate the system trusts; an SSL context says more than that.
                 Default: plain TCP.
             tls_ca: A PEM file of certificates: speak TLS, and trust these.
-            on_event: Called with each event when it is received, in place of the queue that `events` reads. Default:
+            on_event: Called with each event when it is received, in place of the queue that `events` reads. What it
+                raises, the call raises that reads; of an AsyncClient, the loop's exception handler is told. Default:
                 the queue, which keeps the last 10,000 events.
 
         Raises:

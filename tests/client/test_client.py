@@ -576,6 +576,23 @@ async def test_events_can_be_awaited(server: Served) -> None:
         assert [event["type"] async for event in client.events()] == ["world_closed"]
 
 
+async def test_what_a_callback_raises_is_told_the_loop_and_loses_nothing(server: Served) -> None:
+    seen: list[Any] = []
+    told: list[Any] = []
+
+    def take(event: Event) -> None:
+        seen.append(event)
+        raise KeyError("mine")
+
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context["exception"]))
+    async with async_client(server, on_event=take) as client:
+        await client.subscribe(events=["tick"])
+        assert (await client.step(3))["frame"] == 3
+        assert await client.ping() == {"type": "pong"}
+    assert [event["frame"] for event in seen] == [1, 2, 3]
+    assert [repr(error) for error in told] == ["KeyError('mine')"] * 3
+
+
 async def test_closing_while_a_reply_is_awaited_raises() -> None:
     with scripted(lambda end: end.hear() and end.hear()) as port:
         client = await AsyncClient(port=port, password="x", timeout=PATIENCE).connect()
