@@ -198,7 +198,8 @@ func (e *CommandError) Error() string { return fmt.Sprintf("nmes: %s: %s", e.Cod
 
 // Disconnected is why a connection is lost: it cannot be used any more.
 type Disconnected struct {
-	// unreachable, disconnected, world_closed, bad_reply, closed (by Close), or what the server said.
+	// unreachable, disconnected, world_closed, bad_reply, closed (by Close, or of an Original by a context that ended),
+	// or what the server said.
 	Code    string
 	Message string
 }

@@ -3,6 +3,7 @@ package nmes_test
 import (
 	"bufio"
 	"bytes"
+	"context"
 	"crypto/ecdsa"
 	"crypto/elliptic"
 	"crypto/rand"
@@ -10,11 +11,13 @@ import (
 	"crypto/x509"
 	"crypto/x509/pkix"
 	"encoding/pem"
+	"errors"
 	"fmt"
 	"math/big"
 	"net"
 	"os"
 	"path/filepath"
+	"strings"
 	"testing"
 	"time"
 
@@ -110,6 +113,59 @@ func TestAServerThatBreaksTheProtocolEndsTheConnectionAndSaysWhy(t *testing.T) {
 			t.Fatal("it is not lost for good: ", answer, err)
 		}
 		client.Close()
+	}
+}
+
+// Answers have no ids in the raw dialect: a late one would be taken for that of the next command.
+func TestAContextThatEndsBeforeAnAnswerEndsAnOriginalConnectionAndSaysWhy(t *testing.T) {
+	late := `{"type":"late"}` + delimiter + `{"type":"own"}` + delimiter
+	old, err := nmes.DialOriginal(within(t), pretend(t, 99, "auth_success"+delimiter, "", late), password, nil)
+	if err != nil {
+		t.Fatal(err)
+	}
+	defer old.Close()
+	short, cancel := context.WithTimeout(within(t), 10*time.Millisecond)
+	defer cancel()
+	if _, err := old.Ask(short, nmes.Ping{}); !errors.Is(err, context.DeadlineExceeded) {
+		t.Fatal(err)
+	}
+	for range 2 {
+		if answer, err := old.Ask(within(t), nmes.Ping{}); !nmes.IsCode(err, "closed") || !strings.Contains(err.Error(), "context") {
+			t.Fatal(string(answer), err)
+		}
+	}
+	if err := old.Tell(nmes.Ping{}); !nmes.IsCode(err, "closed") {
+		t.Fatal(err)
+	}
+}
+
+// cancelling ends a context while it is encoded.
+type cancelling struct{ cancel func() }
+
+func (c cancelling) MarshalJSON() ([]byte, error) {
+	c.cancel()
+	return []byte(`{"type":"ping"}`), nil
+}
+
+func TestAContextThatEndsAroundAnAnswerLeavesAnOriginalConnectionGood(t *testing.T) {
+	two := `{"n":1}` + delimiter + `{"n":2}` + delimiter
+	old, err := nmes.DialOriginal(within(t), pretend(t, 99, "auth_success"+delimiter, two, "", `{"n":3}`+delimiter), password, nil)
+	if err != nil {
+		t.Fatal(err)
+	}
+	defer old.Close()
+	ended, cancel := context.WithCancel(within(t))
+	if answer, err := old.Ask(ended, nmes.Ping{}); err != nil || string(answer) != `{"n":1}` {
+		t.Fatal(string(answer), err)
+	}
+	if answer, err := old.Ask(ended, cancelling{cancel}); err != nil || string(answer) != `{"n":2}` { // which is there already
+		t.Fatal(string(answer), err)
+	}
+	if answer, err := old.Ask(ended, nmes.Ping{}); !errors.Is(err, context.Canceled) { // and nothing is sent
+		t.Fatal(string(answer), err)
+	}
+	if answer, err := old.Ask(within(t), nmes.Ping{}); err != nil || string(answer) != `{"n":3}` {
+		t.Fatal(string(answer), err)
 	}
 }
 

@@ -16,9 +16,13 @@ import (
 // server keeps silent after spawn_cube, despawn_cube, apply_force, apply_physics, freeze_cube and set_color, whether
 // they were done or not, so those are told by Tell and all others by Ask. It is for one goroutine. What is new is better
 // off with Dial, where every command has an answer.
+//
+// Answers do not say of which command they are. So a context that ends before an answer has come ends the connection,
+// too: that answer would be taken for the next one's.
 type Original struct {
 	socket net.Conn
 	buffer []byte
+	lost   error
 }
 
 // DialOriginal connects and says the password; an empty one is that of the environment's variable NMES_PASSWORD.
@@ -39,7 +43,6 @@ func DialOriginal(ctx context.Context, address, password string, config *tls.Con
 	}
 	answer, err := o.frame(ctx)
 	if err != nil {
-		o.Close()
 		return nil, err
 	}
 	if string(answer) != "auth_success" {
@@ -58,8 +61,12 @@ func (o *Original) Tell(command any) error {
 	return o.write(message)
 }
 
-// Ask sends a command and returns its answer as JSON, whatever it is.
+// Ask sends a command and returns its answer as JSON, whatever it is. When the context ends first, the command may still
+// act, and the connection is lost.
 func (o *Original) Ask(ctx context.Context, command any) (json.RawMessage, error) {
+	if err := ctx.Err(); err != nil {
+		return nil, err
+	}
 	if err := o.Tell(command); err != nil {
 		return nil, err
 	}
@@ -69,17 +76,32 @@ func (o *Original) Ask(ctx context.Context, command any) (json.RawMessage, error
 // Close ends the connection.
 func (o *Original) Close() error { return o.socket.Close() }
 
+// lose ends the connection, and returns why it is lost.
+func (o *Original) lose(code, format string, values ...any) error {
+	o.lost = &Disconnected{code, fmt.Sprintf(format, values...)}
+	o.socket.Close()
+	return o.lost
+}
+
 func (o *Original) write(message []byte) error {
+	if o.lost != nil {
+		return o.lost
+	}
 	if _, err := o.socket.Write(append(message, delimiter...)); err != nil {
-		return &Disconnected{"disconnected", err.Error()}
+		return o.lose("disconnected", "%v", err)
 	}
 	return nil
 }
 
 func (o *Original) frame(ctx context.Context) ([]byte, error) {
-	stop := context.AfterFunc(ctx, func() { o.socket.SetReadDeadline(time.Unix(1, 0)) })
+	interrupted := make(chan struct{})
+	stop := context.AfterFunc(ctx, func() {
+		o.socket.SetReadDeadline(past)
+		close(interrupted)
+	})
 	defer func() {
-		if stop() {
+		if !stop() {
+			<-interrupted // else the deadline could come after it is taken back
 			o.socket.SetReadDeadline(time.Time{})
 		}
 	}()
@@ -98,13 +120,14 @@ func (o *Original) frame(ctx context.Context) ([]byte, error) {
 		n, err := o.socket.Read(part)
 		o.buffer = append(o.buffer, part[:n]...)
 		if len(o.buffer) > largestFrame {
-			return nil, &Disconnected{"bad_reply", fmt.Sprintf("a frame is longer than %d bytes", largestFrame)}
+			return nil, o.lose("bad_reply", "a frame is longer than %d bytes", largestFrame)
 		}
 		if err != nil && n == 0 {
 			if ctx.Err() != nil {
+				o.lose("closed", "a context ended before its answer came, which would be taken for that of the next command")
 				return nil, ctx.Err()
 			}
-			return nil, &Disconnected{"disconnected", fmt.Sprintf("the server closed the connection: %v", err)}
+			return nil, o.lose("disconnected", "the server closed the connection: %v", err)
 		}
 	}
 }
