@@ -3,6 +3,7 @@ package brain_test
 import (
 	"errors"
 	"fmt"
+	"strings"
 	"testing"
 
 	"nmes/brain"
@@ -36,6 +37,17 @@ func ExampleError() {
 	// oscillators/0/phase
 	// oscillators/0/phase: expected a number from -100 to 100 rad, got 1000
 	// oscillators/0/motor: there is no motor "hipp"; there are hip, knee
+}
+
+func TestADocumentOfMillionsOfValuesIsRefusedUnread(t *testing.T) {
+	const told = "more than 4,194,304 values"
+	text := "no JSON" + strings.Repeat(",", 1<<22)
+	if _, err := brain.Load([]byte(text), nil, nil); err == nil || err.Error() == told {
+		t.Errorf("there may be so many: %v", err)
+	}
+	if _, err := brain.Load([]byte(text+","), nil, nil); err == nil || err.Error() != told {
+		t.Error(err)
+	}
 }
 
 func TestWhatAProgramMayNotDoPanics(t *testing.T) {

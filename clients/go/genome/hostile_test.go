@@ -45,3 +45,14 @@ func TestOfTheLargestBadDocumentsNoMoreIsToldThanOfOthers(t *testing.T) {
 		}
 	}
 }
+
+func TestADocumentOfMillionsOfValuesIsRefusedUnread(t *testing.T) {
+	const told = "more than 4,194,304 values"
+	text := "no JSON" + strings.Repeat(",", 1<<22)
+	if problems := genome.Check([]byte(text)); len(problems) != 1 || problems[0].Message == told {
+		t.Errorf("there may be so many: %v", problems)
+	}
+	if problems := genome.Check([]byte(text + ",")); len(problems) != 1 || problems[0].Message != told {
+		t.Errorf("%v", problems)
+	}
+}

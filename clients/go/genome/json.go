@@ -23,6 +23,7 @@ type (
 const (
 	mostNesting    = 200
 	mostContainers = 1 << 16
+	mostValues     = 1 << 22 // a digit and a comma become many times as many bytes
 	largestFile    = 80 << 20
 	wholeBelow     = 1 << 53 // beyond this not every whole number is a float64
 )
@@ -31,6 +32,9 @@ const (
 func parse(text []byte) (any, *DocumentError) {
 	if len(text) > largestFile {
 		return nil, refused("", fmt.Sprintf("it has over %d MiB, more than a genome may have", largestFile>>20))
+	}
+	if bytes.Count(text, []byte(",")) > mostValues {
+		return nil, refused("", "more than 4,194,304 values")
 	}
 	if brackets := bytes.Count(text, []byte("[")) + bytes.Count(text, []byte("{")); brackets > mostContainers {
 		return nil, refused("", "more than 65,536 arrays and objects")

@@ -17,6 +17,7 @@ import (
 const (
 	nesting    = 200
 	containers = 1 << 16 // what an array or an object costs does not show in the length of its text
+	values     = 1 << 22 // a digit and a comma become many times as many bytes
 	longest    = 80 << 20
 )
 
@@ -85,6 +86,9 @@ func (f *Findings) Err() error {
 func Parse(text []byte) (any, error) {
 	if len(text) > longest {
 		return nil, Refused("longer than %d MiB", longest>>20)
+	}
+	if bytes.Count(text, []byte(",")) > values {
+		return nil, Refused("more than 4,194,304 values")
 	}
 	if !utf8.Valid(text) {
 		return nil, Refused("not UTF-8")
