@@ -36,7 +36,7 @@ type Options struct {
 	Generations int
 	// How many of the best live on as they are; 1 in 20 of the population, at least one.
 	Elites int
-	// Of how many candidates the best becomes a parent; 3.
+	// Of how many candidates the best becomes a parent; 3. One may be drawn twice, so there may be more than the population.
 	Tournament int
 	// How many candidates are scored at once; 1.
 	Goroutines int
@@ -92,7 +92,7 @@ func (o Options) filled() (Options, error) {
 		{"Population", o.Population, 2, 1_000_000},
 		{"Generations", o.Generations, 1, 1_000_000},
 		{"Elites", o.Elites, 1, o.Population - 1},
-		{"Tournament", o.Tournament, 1, o.Population},
+		{"Tournament", o.Tournament, 1, 1_000},
 		{"Goroutines", o.Goroutines, 1, 100_000},
 	} {
 		if each.value < each.low || each.value > each.most {

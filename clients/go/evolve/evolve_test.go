@@ -174,9 +174,16 @@ func TestAnyOtherErrorEndsTheRun(t *testing.T) {
 	}
 }
 
+func TestTwoAreAPopulation(t *testing.T) {
+	_, generations := run(t, weight, evolve.Options{Population: 2, Generations: 3})
+	if len(generations) != 3 || len(generations[2].Candidates) != 2 {
+		t.Errorf("%+v", generations)
+	}
+}
+
 func TestOptionsOutOfBoundsAreRefused(t *testing.T) {
 	for _, options := range []evolve.Options{
-		{Population: 1}, {Population: -1}, {Elites: 100}, {Generations: -1}, {Tournament: 101}, {Goroutines: -1},
+		{Population: 1}, {Population: -1}, {Elites: 100}, {Generations: -1}, {Tournament: 1001}, {Goroutines: -1},
 	} {
 		if _, err := evolve.Run(context.Background(), founders(t), weight, options); err == nil || !strings.HasPrefix(err.Error(), "evolve: ") {
 			t.Errorf("%+v: %v", options, err)
