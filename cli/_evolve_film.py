@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from nmes.cli._options import FiniteRange
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
@@ -25,7 +26,7 @@ __all__ = ["command"]
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(0.1, 1000),
+    type=FiniteRange(0.1, 1000),
     default=6.0,
     show_default=True,
     help="Of each episode, from when it begins to count.",

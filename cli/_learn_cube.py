@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from nmes.cli._json import print_json
+from nmes.cli._options import FiniteRange
 from nmes.cli._output import whole_file
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import visible
@@ -52,7 +53,7 @@ __all__ = ["command"]
     "--real-time",
     "rate",
     metavar="RATE",
-    type=click.FloatRange(0.01, 100),
+    type=FiniteRange(0.01, 100),
     help="Judge it in a world that ticks by the clock, RATE of its seconds in one, and waits for nobody.",
 )
 @click.option(

@@ -1,10 +1,11 @@
-"""What several commands share: moments of recordings, values by name, and a group whose nameless command begins one."""
+"""What several commands share: moments, finite numbers, named values, and a group whose nameless command begins one."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,7 +15,7 @@ from click.shell_completion import CompletionItem
 if TYPE_CHECKING:
     from nmes.recording import Recording
 
-__all__ = ["MOMENT", "BeginningGroup", "Moment", "read_values"]
+__all__ = ["MOMENT", "BeginningGroup", "FiniteRange", "Moment", "read_values"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,17 @@ class _MomentType(click.ParamType[Moment]):
 
 MOMENT = _MomentType()
 """The type of options that name a moment: a frame, or seconds with their unit."""
+
+
+class FiniteRange(click.FloatRange):
+    """A range of numbers in which `nan`, which is neither below nor above anything, is not, nor is infinity."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Reads a number in the range."""
+        number = super().convert(value, param, ctx)
+        if not isfinite(number):
+            self.fail(f"{number} is no finite number", param, ctx)
+        return number
 
 
 class _Context(click.Context):

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from nmes.cli._address import split_address
 from nmes.cli._json import print_json
+from nmes.cli._options import FiniteRange
 from nmes.cli._output import whole_file
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
 from nmes.conformance import (
@@ -61,7 +62,7 @@ def _split(context: click.Context, parameter: click.Parameter, value: str | None
 @password_options(f"The server's password; better in the variable {PASSWORD_VARIABLE}.")
 @click.option(
     "--timeout",
-    type=click.FloatRange(0.1, 600),
+    type=FiniteRange(0.1, 600),
     default=5.0,
     show_default=True,
     help="How long one wait for the server may take, in s.",
@@ -69,7 +70,7 @@ def _split(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--fail-fast", is_flag=True, help="End at the first failure.")
 @click.option(
     "--time-limit",
-    type=click.FloatRange(0, 86400, min_open=True),
+    type=FiniteRange(0, 86400, min_open=True),
     metavar="S",
     help="How long all of it may take, in s; what was not judged by then is skipped.",
 )

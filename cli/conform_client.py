@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from nmes.cli._json import print_json
+from nmes.cli._options import FiniteRange
 from nmes.conformance import NoCase, Verdict
 from nmes.conformance.clauses import sentence
 from nmes.conformance.clients import CLIENT_CASES, ClientCase, ClientResult, judge, select_client_cases
@@ -39,7 +40,7 @@ _WIDTH = 200  # characters of one of them
 )
 @click.option(
     "--timeout",
-    type=click.FloatRange(0.1, 600),
+    type=FiniteRange(0.1, 600),
     default=5.0,
     show_default=True,
     help="How long one wait for the client may take, in s.",

@@ -10,6 +10,7 @@ import click
 
 from nmes.cli._connection import async_connector, connection_options
 from nmes.cli._json import print_json
+from nmes.cli._options import FiniteRange
 from nmes.client.address import read_address
 from nmes.errors import visible
 from nmes.fleet.status import HostStatus, ask_hosts
@@ -40,7 +41,7 @@ def command() -> None:
 @click.option(
     "--timeout",
     metavar="SECONDS",
-    type=click.FloatRange(0.01, 3600.0),
+    type=FiniteRange(0.01, 3600.0),
     default=10.0,
     show_default=True,
     help="How long one host may take to answer.",

@@ -12,6 +12,7 @@ import click
 
 from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
+from nmes.cli._options import FiniteRange
 from nmes.errors import MissingPackage, visible
 
 __all__ = ["command"]
@@ -103,7 +104,7 @@ def agents(agents: tuple[int, ...], ticks: int, rounds: int, seed: int, as_json:
 
 @command.command("decisions")
 @click.option(
-    "--seconds", metavar="S", type=click.FloatRange(0.1, 3600), default=3.0, show_default=True, help="In either mode."
+    "--seconds", metavar="S", type=FiniteRange(0.1, 3600), default=3.0, show_default=True, help="In either mode."
 )
 @_SEED
 @_JSON

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from nmes.cli._options import MOMENT, Moment
+from nmes.cli._options import MOMENT, FiniteRange, Moment
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
@@ -44,7 +44,7 @@ def _open(context: click.Context, parameter: click.Parameter, values: tuple[str,
 @click.option("--to", "end", type=MOMENT, help="End at this frame or time; a .png shows it.")
 @click.option(
     "--speed",
-    type=click.FloatRange(min=0.001, max=1000),
+    type=FiniteRange(min=0.001, max=1000),
     default=1.0,
     show_default=True,
     help="Seconds of simulation in a second of film.",

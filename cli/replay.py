@@ -17,7 +17,7 @@ from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
 from nmes.cli._each_file import File, Finding, files_argument, report_each
 from nmes.cli._json import print_json
-from nmes.cli._options import MOMENT, Moment
+from nmes.cli._options import MOMENT, FiniteRange, Moment
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._replay_report import log_lines, replay_lines
@@ -69,7 +69,7 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 @click.option("--world", metavar="NAME", help="With --against: which of the server's worlds; the first if left out.")
 @click.option(
     "--tolerance",
-    type=click.FloatRange(min=0),
+    type=FiniteRange(min=0),
     help="With --against: by how much numbers may differ, of larger ones than 1 relatively.  [default: 1e-6]",
 )
 @connection_options

@@ -19,7 +19,7 @@ from typing import Any
 import click
 
 from nmes.cli import _logs
-from nmes.cli._options import MOMENT
+from nmes.cli._options import MOMENT, FiniteRange
 from nmes.cli._password import PASSWORD_VARIABLE, password_options
 from nmes.cli._serve_process import COLLECTIONS, SWITCH, raise_open_files_limit
 from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_lines
@@ -145,14 +145,14 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 @click.option("--no-record", is_flag=True, help="Record nothing.")
 @click.option(
     "--flush-interval",
-    type=click.FloatRange(0, 3600),
+    type=FiniteRange(0, 3600),
     default=1.0,
     show_default=True,
     help="Seconds of the recording that a crash may lose; with 0 nothing is told before it is on disk.",
 )
 @click.option(
     "--keyframes",
-    type=click.FloatRange(0, 86400),
+    type=FiniteRange(0, 86400),
     help="Seconds of a world's time after which it saves itself, so that recordings can be replayed or resumed from "
     "there; 0 for never.  [default: 10]",
 )
@@ -205,7 +205,7 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 )
 @click.option(
     "--hibernate-after",
-    type=click.FloatRange(0, 86_400),
+    type=FiniteRange(0, 86_400),
     default=60.0,
     show_default=True,
     help="Seconds after which a world in which nobody is and nothing moves is saved and let go, until somebody comes; "
@@ -260,7 +260,7 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 )
 @click.option(
     "--drain",
-    type=click.FloatRange(0.0, 86_400.0),
+    type=FiniteRange(0.0, 86_400.0),
     metavar="SECONDS",
     default=0.0,
     show_default=True,

@@ -11,6 +11,7 @@ import click
 
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
+from nmes.cli._options import FiniteRange
 from nmes.cli._output import whole_file
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli.info import open_recording
@@ -28,7 +29,7 @@ __all__ = ["command"]
 @click.argument("what", metavar="HOST:PORT|FILE [FILE]", nargs=-1, required=True)
 @click.option("--web", is_flag=True, help="Show it in a browser: prints a link, and serves it until Ctrl-C.")
 @click.option("--save", type=click.Path(dir_okay=False, path_type=Path), help="Write it to this .rrd file instead.")
-@click.option("--fps", type=click.FloatRange(1, 1000), default=30.0, show_default=True, help="Pictures a second.")
+@click.option("--fps", type=FiniteRange(1, 1000), default=30.0, show_default=True, help="Pictures a second.")
 @click.option("--host", default=LOCAL, show_default=True, help="The address on which Rerun listens.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Where --web listens.  [default: any free port]")
 @click.option("--world", metavar="NAME", help="Which of a live host's worlds.  [default: its first]")

@@ -67,6 +67,15 @@ def test_help_shows_no_layout_marks() -> None:
             assert line.count("nmes ") < 2, line  # examples that have run together
 
 
+def test_no_number_that_has_bounds_may_be_none_or_infinite() -> None:
+    for command in commands(main):
+        for option in command.params:
+            if isinstance(option.type, click.FloatRange):
+                for text in ("nan", "inf", "-inf"):
+                    with pytest.raises(click.BadParameter):
+                        option.type(text, option, None)
+
+
 def test_version_is_printed() -> None:
     result = run("--version")
     assert result.exit_code == 0
