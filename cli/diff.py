@@ -39,7 +39,8 @@ def command(first: Recording, second: Recording, plot_to: Path | None, keep_goin
     Shows the first input that is not the same, with the field that differs, the first tick after which the worlds are
     not, with the value that differs most, and how far each cube comes apart.
 
-    Exit status: 0 the same, 1 not, 2 wrong usage or an unreadable file.
+    Exit status: 0 the same, 1 not, 2 wrong usage or an unreadable file, 3 a recording does not come out the same here,
+    where other numbers come out than where it was made.
 
     For example:
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from nmes.backend.fingerprint import fingerprint
 from nmes.cli import main
 from nmes.errors import RecordingError
 from nmes.playback.diff import compare
@@ -168,7 +169,9 @@ def test_worlds_of_another_gravity_differ_at_the_first_tick(tmp_path: Path) -> N
     assert (comparison.states.tick, comparison.states.field) == (1, "linear_y")
 
 
-def test_a_recording_that_does_not_replay_is_compared_only_if_told_to_keep_going(tmp_path: Path) -> None:
+def test_a_recording_that_does_not_replay_is_compared_only_if_told_to_keep_going(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def harder(lines: list[Line]) -> list[Line]:
         return [line._replace(data=line.data.replace(b"[3.0,0,0]", b"[9.0,0,0]")) for line in lines]
 
@@ -177,3 +180,8 @@ def test_a_recording_that_does_not_replay_is_compared_only_if_told_to_keep_going
     with pytest.raises(RecordingError, match="does not come out as recorded"):
         compare(Recording(path), other)
     assert compare(Recording(path), other, keep_going=True).states is not None
+    monkeypatch.setattr("nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "probe": "0ff"})
+    code, output = run("diff", path, other.path)
+    assert code == 3 and "recorded with another probe" in output
+    assert "3 a recording does not come out the same here" in " ".join(run("diff", "--help")[1].split())
+    assert run("diff", path, other.path, "--keep-going")[0] == 1
