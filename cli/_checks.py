@@ -33,7 +33,14 @@ _LITTLE, _TOO_LITTLE = 1_000_000_000, 100_000_000  # bytes of disk: a recording 
 _FEW_FILES, _TOO_FEW_FILES = 1024, 32  # open at once: one a client; and what a host needs to begin
 _EXTRA = re.compile(r"""extra\s*==\s*['"]([\w-]+)['"]""")
 _COLLECTIONS = ("all", "dev", "bench")  # extras that nobody needs for a feature
-_PROBES = "import sys, json, nmes.cli._checks as checks; print(json.dumps(checks.take_probes(sys.argv[1:])))"
+# What engines print, also by libraries in C, goes elsewhere than the answer.
+_PROBES = """
+import json, os, sys
+answer = os.dup(1)
+os.dup2(2, 1)
+import nmes.cli._checks as checks
+os.write(answer, json.dumps(checks.take_probes(sys.argv[1:])).encode())
+"""
 
 
 @dataclass(frozen=True)

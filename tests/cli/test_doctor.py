@@ -103,14 +103,19 @@ class Dividing(BallisticBackend):
 """
 
 
+def install(folder: Path, source: str, *names: str) -> None:
+    """Installs engines of a module in a folder."""
+    package = folder / "odd_engines-1.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: odd-engines\nVersion: 1\n")
+    lines = [f"{name} = odd_engines:{name}" for name in names]
+    (package / "entry_points.txt").write_text("\n".join(["[nmes.backends]", *lines, ""]))
+    (folder / "odd_engines.py").write_text(source)
+
+
 def test_engines_that_break_and_packages_that_are_missing_are_wrong(tmp_path: Path, plant: dict[str, str]) -> None:
     (tmp_path / "sitecustomize.py").write_text(HIDE)
-    package = tmp_path / "broken_engines-1.dist-info"
-    package.mkdir()
-    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-engines\nVersion: 1\n")
-    lines = [f"{name} = broken_engines:{name}" for name in ("Absent", "Dividing", "exiting")]
-    (package / "entry_points.txt").write_text("\n".join(["[nmes.backends]", *lines, ""]))
-    (tmp_path / "broken_engines.py").write_text(ENGINES)
+    install(tmp_path, ENGINES, "Absent", "Dividing", "exiting")
     status, findings = examine(cwd=tmp_path, **plant)
     assert status == 1
     assert wrong(findings) == ["packages", "engine Absent", "engine exiting", "probe of Dividing", *BLIND]
@@ -119,3 +124,22 @@ def test_engines_that_break_and_packages_that_are_missing_are_wrong(tmp_path: Pa
     assert "ZeroDivisionError" in findings["probe of Dividing"]["value"]
     assert findings["packages"]["hint"] == "pip install mcap"
     assert "film" not in findings["extras"]["value"] and "film" in findings["extras"]["hint"]
+
+
+TALKING = """
+import atexit, os
+from nmes.backends.ballistic import BallisticBackend
+class Talking(BallisticBackend): pass
+print("my engine 1.0")
+os.write(1, b"of a library\\n")
+atexit.register(print, "goodbye")
+"""
+
+
+def test_what_an_engine_prints_is_not_taken_for_its_probe(tmp_path: Path, plant: dict[str, str]) -> None:
+    install(tmp_path, TALKING, "Talking")
+    command = [NMES, "doctor", "--port", "1"]
+    result = subprocess.run(command, cwd=tmp_path, env={**os.environ, **plant}, capture_output=True, text=True)
+    assert result.stderr == "" and "my engine 1.0" in result.stdout
+    lines = [line.split() for line in result.stdout.splitlines()]
+    assert ["ok", "probe", "of", "Talking", probe(load_backend("ballistic"))] in lines
