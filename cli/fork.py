@@ -9,7 +9,7 @@ import click
 from nmes.cli._json import print_json
 from nmes.cli._options import MOMENT, Moment
 from nmes.cli.info import open_recording
-from nmes.errors import RecordingError, visible
+from nmes.errors import visible
 from nmes.playback.fork import fork
 from nmes.recording import Recording
 from nmes.world import World
@@ -56,6 +56,6 @@ def _write(recording: Recording, world: World, output: Path, frame: int | None) 
     recorder = fork(recording, world, output, frame)
     try:
         recorder.close()
-    except RecordingError:
+    except BaseException:
         output.unlink()  # half of a new file is of no use
         raise

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
-from nmes.errors import NmesError
+from nmes.errors import RecordingError
 from nmes.playback.restore import restore_into
 from nmes.recording import Recorder, Recording
 from nmes.recording.records import PARENT
@@ -53,8 +54,9 @@ def fork(
     world.journal = recorder = Recorder(path, world, about=about, **options)
     try:
         restore_into(world, recording, frame)
-    except NmesError:
-        recorder.close()
-        recorder.path.unlink()
+    except BaseException:
+        with suppress(RecordingError):
+            recorder.close()
+        recorder.path.unlink()  # half of a new file is of no use
         raise
     return recorder

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 from click.testing import CliRunner, Result
@@ -17,6 +17,7 @@ from nmes.errors import RecordingError
 from nmes.playback import replay, world_at
 from nmes.playback.diff import compare
 from nmes.playback.fork import fork
+from nmes.protocol import Request
 from nmes.recording import Kind, Recorder, Recording
 from nmes.world import World
 from processes import process, ready
@@ -102,6 +103,35 @@ def test_a_fork_that_fails_leaves_no_file(tmp_path: Path, backend: str) -> None:
     with pytest.raises(RecordingError, match="exists already"):
         fork(recording, World(recording.config), recording.path, 3)
     assert recording.complete and replay(recording).verdict == "reproduced"
+
+
+class Interrupted(World):
+    """A world in which somebody presses Ctrl-C after a while."""
+
+    def handle(self, client: int, request: Request) -> bytes:
+        """Executes a frame, unless it is late."""
+        if self.ticks > 20:
+            raise KeyboardInterrupt
+        return super().handle(client, request)
+
+
+@BACKENDS
+def test_a_fork_that_is_interrupted_leaves_no_file(
+    tmp_path: Path, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, path = parent(tmp_path, backend), tmp_path / "x.mcap"
+    with pytest.raises(KeyboardInterrupt):
+        fork(recording, Interrupted(recording.config), path)
+    assert list(tmp_path.iterdir()) == [recording.path]
+    close = Recorder.close
+
+    def interrupted(recorder: Recorder) -> NoReturn:
+        close(recorder)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Recorder, "close", interrupted)
+    assert run("fork", recording.path, "-o", path).exit_code == 1
+    assert list(tmp_path.iterdir()) == [recording.path]
 
 
 def test_a_faulted_world_is_restored_at_the_frame_before_its_fault(tmp_path: Path) -> None:
