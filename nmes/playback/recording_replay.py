@@ -99,13 +99,16 @@ def replay(
             the end.
 
     Raises:
-        RecordingError: The file cannot be read as a recording, or has no frame `first`.
+        RecordingError: The file cannot be read as a recording, has no frame `first`, or begins after `last`.
     """
     if not isinstance(recording, Recording):
         recording = Recording(recording)
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
     began = time.perf_counter()
     start = recording.start(first)
+    begins = recording.start().frame
+    if last is not None and last < begins:  # else it would be said of nothing that it was reproduced
+        raise RecordingError("no_such_frame", f"{recording.path} begins at frame {begins}; it has no frame {last}")
     try:
         run = _RecordingReplay(recording, start, last, progress, watch)
     except BackendNotFound:

@@ -49,7 +49,10 @@ def test_seconds_count_from_the_beginning_of_a_recording(recording: Path, tmp_pa
     assert run("fork", recording, "--at", "1s", "-o", late).exit_code == 0
     done = run("replay", late, "--from", "0s", "--json")
     assert done.exit_code == 0 and json.loads(done.stdout)["frames"] == [60, 60]
-    assert "begins at frame 60" in run("replay", late, "--from", "59").stderr
+    for option in ("--from", "--to"):
+        done = run("replay", late, option, "59")
+        assert done.exit_code == 1 and "begins at frame 60; it has no frame 59" in done.stderr
+    assert run("replay", late, "--to", "60").stdout.startswith("reproduced: 0 ticks")
 
 
 @with_opengl
