@@ -183,6 +183,33 @@ def test_an_invalid_log_is_refused(tmp_path: Path, text: str, message: str) -> N
     assert code == 2 and message in output and "Traceback" not in output
 
 
+def said(client: int, **message: Any) -> dict[str, Any]:
+    return {"kind": "command", "client": client, "message": message}
+
+
+def test_clients_of_whom_a_log_does_not_say_that_they_came_have_their_numbers(tmp_path: Path) -> None:
+    world = World({"mode": "lockstep"})
+    client = [world.join() for _ in range(3)][-1]
+    told = send(world, client, type="get_world_info")
+    assert told["counts"]["clients"] == 3
+    answer = {"kind": "reply", "client": client, "message": told}
+    assert ran(tmp_path / "x.jsonl", [said(client, type="get_world_info"), answer]).verdict == "agrees"
+
+
+def test_a_client_that_left_says_nothing_more(tmp_path: Path) -> None:
+    came, left = ({"kind": kind, "client": 1, "message": {"client": 1, "event": kind}} for kind in ("joined", "left"))
+    report = ran(tmp_path / "x.jsonl", [came, left, said(1, type="ping")])
+    assert report.divergence is not None
+    assert report.divergence.message == "line 3 has client 1 says something, and is not there"
+
+
+def test_a_number_that_no_client_comes_to_is_refused(tmp_path: Path) -> None:
+    assert ran(tmp_path / "x.jsonl", [said(65_536, type="ping")]).verdict == "ran"
+    for number in (65_537, 2**53 - 1):
+        with pytest.raises(RecordingError, match="line 2 is of client"):
+            ran(tmp_path / "x.jsonl", [said(1, type="ping"), said(number, type="ping")])
+
+
 def test_the_lines_before_a_wrong_one_are_run(tmp_path: Path) -> None:
     path = tmp_path / "x.jsonl"
     path.write_text('{"type":"ping"}\n{"type":"stepped","frame":1}\n{"type"\n')
