@@ -9,6 +9,7 @@ import click
 __all__ = ["read_seeds"]
 
 _MOST: Final = 100_000
+_LAST: Final = 2**63 - 1  # as the schemas have it
 
 
 def read_seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, ...] | None:
@@ -22,6 +23,8 @@ def read_seeds(_: click.Context, parameter: click.Parameter, value: str | None) 
             begin, end = int(first), int(last or first) + 1
             if end - begin > _MOST - len(seeds):
                 raise click.BadParameter(f"these are over {_MOST:,} seeds", param=parameter)
+            if end - 1 > _LAST:
+                raise click.BadParameter(f"a seed is at most {_LAST}", param=parameter)
             seeds += range(begin, end)
     except ValueError:
         raise click.BadParameter(

@@ -115,6 +115,7 @@ def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None
         (["nobody"], "there is no file nobody"),
         (["x.json", "--seeds", "1,x"], "no list of seeds"),
         (["x.json", "--seeds", "1,1"], "each once"),
+        (["x.json", "--seeds", str(2**63)], "a seed is at most 9223372036854775807"),
         (["x.json", "--json", "--csv"], "either --json or --csv"),
         (["x.json", "--jobs", "2", "--ray", "auto"], "either --jobs or --ray"),
         (["--task", "walk", "--from-recording", __file__], "only --json, --csv and --plot go with it"),
@@ -125,6 +126,15 @@ def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None
 def test_wrong_usage_is_explained(arguments: list[str], message: str) -> None:
     result = run(*arguments)
     assert result.exit_code == 2 and message in result.stderr
+
+
+def test_the_largest_seed_is_one(folder: Path) -> None:
+    genome, task, lines = folder / "zoo" / "a-wave.json", folder / "dash.json", folder / "lines"
+    result = run(genome, "--task", task, "--seeds", 2**63 - 1, "--resume", lines, "--jobs", 1, "--json")
+    assert result.exit_code == 0 and json.loads(result.stdout)[0]["results"][0]["seed"] == 2**63 - 1
+    before = lines.read_bytes()
+    assert run(genome, "--task", task, "--seeds", 2**63, "--resume", lines, "--jobs", 1).exit_code == 2
+    assert lines.read_bytes() == before
 
 
 def test_an_invalid_task_or_recording_is_an_error(folder: Path) -> None:
