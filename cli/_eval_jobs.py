@@ -8,7 +8,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -28,11 +28,24 @@ __all__ = ["run_jobs"]
 _BEGIN = re.compile(rb'\{"key":"[0-9a-f]{64}",')  # of a line
 
 
-def run_jobs(work: list[Job], jobs: int | None, ray: str | None, resume: Path | None) -> tuple[list[Evaluation], bool]:
+def run_jobs(
+    work: list[Job],
+    jobs: int | None,
+    ray: str | None,
+    resume: Path | None,
+    earlier: Iterable[tuple[Job, Evaluation]] = (),
+) -> dict[int, Evaluation]:
     """Runs jobs, unless the file of `--resume` has the results, and the recordings are where they belong.
 
+    Args:
+        work: The jobs.
+        jobs: How many processes.
+        ray: The address of a cluster instead.
+        resume: The file of `--resume`.
+        earlier: Jobs that were run before, which are kept too where this is stopped, and no file has them.
+
     Returns:
-        The evaluations in the order of the work, and whether that is all of them.
+        The evaluations by the index of their job, in the order of the work; after Ctrl-C some are missing.
     """
     with _opened(resume) as file:
         done = {} if resume is None else _results(work, resume)
@@ -58,8 +71,8 @@ def run_jobs(work: list[Job], jobs: int | None, ray: str | None, resume: Path | 
             if file is not None and resume is not None:
                 file.close()
                 done = _results(work, resume)  # the count is of what the file has, wherever it was interrupted
-            _tell_how_to_resume(work, done, resume)
-    return [done[i] for i in sorted(done)], len(done) == len(work)
+            _tell_how_to_resume(work, done, resume, earlier)
+    return {i: done[i] for i in sorted(done)}
 
 
 @contextmanager
@@ -103,16 +116,21 @@ def _read(path: Path) -> dict[str, Evaluation]:
     """Reads the file of an earlier run; a last line of ours that was cut off is taken away, and nothing else ever."""
     content = path.read_bytes()
     *lines, rest = content.split(b"\n")
-    results = {}
+    results: dict[str, Evaluation] = {}
     for number, line in enumerate(lines, 1):
         try:
             fields = unsealed(line)
-            results[fields.pop("key")] = Evaluation.from_json(fields)
+            key, evaluation = fields.pop("key"), Evaluation.from_json(fields)
         except ChangedLine as error:
             what = f"{path}, line {number}: not as `nmes eval --resume` wrote it"
             raise click.UsageError(f"{what}: take the line out, and it is done again") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise _foreign(path, number) from error
+        before = results.get(key, evaluation)
+        # One that could not be evaluated has no results, and may have another name.
+        if before.results and evaluation.results and before.results != evaluation.results:
+            raise click.UsageError(f"{path}, line {number}: {evaluation.genome} came out otherwise than before")
+        results[key] = evaluation
     if rest:
         # A few letters are not known for ours unless there are whole lines before them.
         if not _BEGIN.match(rest) and not (lines and _could_begin(rest)):
@@ -131,16 +149,22 @@ def _could_begin(text: bytes) -> bool:
     return _BEGIN.match(text + example[len(text) :]) is not None
 
 
-def _tell_how_to_resume(work: Sequence[Job], done: dict[int, Evaluation], resume: Path | None) -> None:
+def _tell_how_to_resume(
+    work: Sequence[Job],
+    done: dict[int, Evaluation],
+    resume: Path | None,
+    earlier: Iterable[tuple[Job, Evaluation]],
+) -> None:
     """Tells the user how to go on; keeps the results where no file has them."""
     click.echo(f"stopped: {len(done)} of {len(work)} done", err=True)
     if resume is not None:
         click.echo("the same command goes on", err=True)
         return
-    if not done:
+    kept = [*earlier, *((work[i], done[i]) for i in sorted(done))]
+    if not kept:
         return
     path = Path(f"eval-{time.strftime('%Y%m%d-%H%M%S')}.jsonl")
     with path.open("xb") as file:
-        file.writelines(_line(work[i], done[i]) for i in sorted(done))
+        file.writelines(_line(job, evaluation) for job, evaluation in kept)
     arguments = shlex.join(sys.argv[1:])
     click.echo(visible(f"go on with: nmes {arguments} --resume {path}"), err=True)

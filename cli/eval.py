@@ -118,9 +118,10 @@ def command(
         work = _jobs(files, asked, seeds, record if record_best is None else None)
         if record is not None:
             _open_folder(record, [] if record_best is None else work)
-        evaluations, whole = run_jobs(work, jobs, ray, resume)
+        done = run_jobs(work, jobs, ray, resume)
+        evaluations, whole = [*done.values()], len(done) == len(work)
         if record_best is not None and whole:
-            evaluations, whole = _record_best(work, evaluations, record_best, str(record), jobs, ray)
+            evaluations, whole = _record_best(work, evaluations, record_best, str(record), jobs, ray, resume)
     (print_results if as_json else print_csv if as_csv else print_table)(evaluations)
     if plot_to is not None:
         _plot(evaluations, plot_to)
@@ -199,7 +200,13 @@ def _open_folder(record: Path, work: Sequence[Job]) -> None:
 
 
 def _record_best(
-    work: Sequence[Job], evaluations: Sequence[Evaluation], count: int, folder: str, jobs: int | None, ray: str | None
+    work: Sequence[Job],
+    evaluations: Sequence[Evaluation],
+    count: int,
+    folder: str,
+    jobs: int | None,
+    ray: str | None,
+    resume: Path | None,
 ) -> tuple[list[Evaluation], bool]:
     """Runs the best creatures again, each alone, and records them.
 
@@ -211,15 +218,17 @@ def _record_best(
     """
     scores = {index: each.score for index, each in enumerate(evaluations) if each.score is not None}
     best = sorted(scores, key=lambda index: (-scores[index], index))[:count]
-    recorded, whole = run_jobs([replace(work[index], record=folder) for index in best], jobs, ray, None)
+    alone = [replace(work[index], record=folder) for index in best]
+    recorded = run_jobs(alone, jobs, ray, resume, zip(work, evaluations, strict=True))
     found = list(evaluations)
-    for index, again in zip(best, recorded, strict=False):  # fewer after Ctrl-C
+    for place, again in recorded.items():
+        index = best[place]
         if again != evaluations[index]:
             scores_then = f"{evaluations[index].score!r}, then {again.score!r}"
             what = f"{again.genome} came out otherwise alone than beside others (score {scores_then})"
             raise click.ClickException(visible(f"{what}: please report this as a mistake in NMES"))
         found[index] = again
-    return found, whole
+    return found, len(recorded) == len(best)
 
 
 def _read_genome(name: str) -> bytes:

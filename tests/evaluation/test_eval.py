@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -24,8 +25,8 @@ from test_evaluation import DASH
 
 from creatures import cpg, exploding, mlp, snake
 from nmes.cli import main
+from nmes.evaluation import Evaluation, Evaluator, Job, scores_so_far
 from nmes.evaluation import Result as EpisodeResult
-from nmes.evaluation import scores_so_far
 from nmes.evaluation.judge import Judge
 from nmes.genome import Genome
 from nmes.recording import Recording
@@ -319,6 +320,46 @@ def test_the_best_of_many_are_run_again_alone_and_recorded(folder: Path) -> None
     assert {each["score"] for each in proved} == set(scores[:2])
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_ctrl_c_while_the_best_are_recorded_keeps_all_results(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, named: bool
+) -> None:
+    monkeypatch.chdir(folder)
+    options = (folder / "zoo", "--task", folder / "dash.json", "--jobs", 1, "--json")
+    best = ("--record", folder / "best", "--record-best", 2)
+    plain = json.loads(run(*options).stdout)
+    evaluate, done = Evaluator.run, []
+
+    def count(self: Evaluator, work: list[Job], **more: Any) -> Iterator[tuple[int, Evaluation]]:
+        for place, evaluation in evaluate(self, work, **more):
+            done.append(work[place].name)
+            yield place, evaluation
+
+    def stop(self: Evaluator, work: list[Job], **more: Any) -> Iterator[tuple[int, Evaluation]]:
+        """The second is recorded before the first, and then somebody presses Ctrl-C."""
+        if work[0].record is None:
+            yield from evaluate(self, work, **more)
+            return
+        for _, evaluation in evaluate(self, work[1:], **more):
+            yield 1, evaluation
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Evaluator, "run", stop)
+    resume: list[str | Path] = ["--resume", folder / "kept.jsonl"] if named else []
+    stopped = run(*options, *best, *resume)
+    evaluations = json.loads(stopped.stdout)
+    assert stopped.exit_code == 1 and timeless(evaluations) == timeless(plain)
+    assert "stopped: 1 of 2 done" in stopped.stderr and "Error" not in stopped.stderr
+    assert sum(bool(each["recordings"]) for each in evaluations) == 1
+    (lines,) = folder.glob("*.jsonl")
+    monkeypatch.setattr(Evaluator, "run", count)
+    rest = run(*options, *best, "--resume", lines)
+    evaluations = json.loads(rest.stdout)
+    assert timeless(evaluations) == timeless(plain) and len(done) == 1
+    assert sum(bool(each["recordings"]) for each in evaluations) == 2
+    assert {path.parent.name for path in folder.rglob("*.mcap")} == {"best"}
+
+
 def test_a_creature_that_scores_otherwise_alone_is_an_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = Judge.result
 
@@ -332,6 +373,8 @@ def test_a_creature_that_scores_otherwise_alone_is_an_error(folder: Path, monkey
     monkeypatch.setattr(Judge, "result", kept)
     result = run(folder / "zoo" / "a-wave.json", *options, "--resume", lines)
     assert result.exit_code == 1 and "wave came out otherwise alone" in result.output
+    result = run(folder / "zoo" / "a-wave.json", *options, "--resume", lines)
+    assert result.exit_code == 2 and "line 2: a-wave came out otherwise" in result.output
 
 
 def test_results_are_not_kept_in_a_link_or_a_pipe(folder: Path) -> None:
