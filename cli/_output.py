@@ -72,19 +72,30 @@ def whole_file(output: Path, *inputs: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(output: Path) -> Iterator[Path]:
-    """Gives the path of a new, empty folder beside `output`, which takes its place once it is whole.
+    """Gives the path of a new, empty folder, which takes the place of `output` once it is whole.
+
+    A folder that is there stays the one that it is, and gets what is in the new one: it may be where somebody works, or
+    where a disk is mounted.
 
     Raises:
         UsageError: There is something of that name already, and it is no empty folder.
         ClickException: It cannot be written.
     """
-    if output.is_symlink() or (output.exists() and not (output.is_dir() and not any(output.iterdir()))):
+    there = output.is_dir()
+    if output.is_symlink() or (output.exists() and not (there and not any(output.iterdir()))):
         raise click.UsageError(f"there is {output} already: name a folder that is not there yet")
-    unfinished = output.absolute().with_name(f".{secrets.token_hex(8)}")
+    name = f".{secrets.token_hex(8)}"
+    unfinished = output / name if there else output.absolute().with_name(name)
     try:
         unfinished.mkdir(parents=True)
         yield unfinished
-        unfinished.replace(output)  # an empty folder is replaced too
+        if not there:
+            unfinished.replace(output)  # a folder that is empty and has come meanwhile is replaced too
+        elif [*output.iterdir()] == [unfinished]:
+            for path in [*unfinished.iterdir()]:
+                path.replace(output / path.name)
+        else:
+            raise click.ClickException(f"somebody else has written to {output} meanwhile")
     except OSError as error:
         raise click.ClickException(f"cannot write {output}: {error.strerror or error}") from error
     finally:

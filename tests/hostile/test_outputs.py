@@ -85,6 +85,34 @@ def test_pictures_are_not_drawn_into_a_folder_that_has_something_in_it(tmp_path:
     assert [path.read_text() for path in theirs.iterdir()] == ["mine"]
 
 
+def test_pictures_are_drawn_into_the_empty_folder_in_which_one_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin(tmp_path / "learning")
+    (empty := tmp_path / "empty").mkdir()
+    monkeypatch.chdir(empty)
+    before = empty.stat().st_ino
+    for named in (Path("."), empty):
+        assert run("learn", "show", tmp_path / "learning", "-o", named).exit_code == 0
+        assert empty.stat().st_ino == before and (empty / "index.html").is_file()  # a mounted one cannot be replaced
+        assert not [path for path in empty.iterdir() if path.name.startswith(".")]
+        for path in empty.iterdir():
+            path.unlink()
+    assert {path.name for path in tmp_path.iterdir()} == {"learning", "empty"}
+
+
+def test_an_empty_folder_stays_empty_where_its_content_cannot_be_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin(tmp_path / "learning")
+    (empty := tmp_path / "empty").mkdir()
+    monkeypatch.chdir(empty)
+    with full_disk(100):
+        result = run("learn", "show", tmp_path / "learning", "-o", ".")
+    assert result.exit_code == 1 and "cannot write" in result.output
+    assert not [*empty.iterdir()]
+
+
 def test_a_plot_does_not_take_the_place_of_what_the_same_evaluation_writes(tmp_path: Path) -> None:
     (genome := tmp_path / "snake.json").write_text(json.dumps(snake()))
     (task := tmp_path / "task.json").write_text(json.dumps(DASH))
