@@ -35,6 +35,7 @@ MOST_WORLDS = 100_000
 MOST_WORKERS = 256
 MANY_WORLDS = 10_000  # that there may be unless told otherwise
 SHIPPED = ShippedDocuments("world config", "nmes.world", "shipped")
+_LOCAL, _RECORDINGS = "127.0.0.1", Path("recordings")
 _IMAGE = 64 << 20  # bytes of the image of a landscape
 KEYFRAMES = 10.0  # s of a world's time
 MADE_UP = "generated"  # the source of a password that was not given
@@ -147,6 +148,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     worlds = _world_passwords(options["world_passwords"], names or [name])
     makers = _makers(options["makers"], [password, *worlds.values()])
     templates = _templates(options["templates"], config)
+    record_to = _record_to(options)
     if len(names) > options["max_worlds"]:
         raise click.UsageError(f"{len(names):,} worlds are more than --max-worlds {options['max_worlds']:,} allows")
     return Settings(
@@ -162,12 +164,12 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         role_passwords=_role_passwords(
             options["role"], list(templates.values()), [password, *worlds.values(), *makers.values()]
         ),
-        record_to=None if options["no_record"] else options["record_to"],
+        record_to=record_to,
         flush_interval=options["flush_interval"],
         tls_cert=options["tls_cert"],
         tls_key=options["tls_key"],
         tls=_load_tls(options["tls_cert"], options["tls_key"]),
-        metrics_host=options["metrics_host"],
+        metrics_host=_metrics_host(options),
         metrics_port=options["metrics_port"],
         drain=options["drain"],
         agones=_sidecar_port() if options["agones"] else None,
@@ -175,7 +177,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         rosbridge_port=options["rosbridge_port"],
         http_origins=_origins(options),
         access_log=options["access_log"],
-        keep=_retention(options),
+        keep=_retention(options, record_to),
         makers=makers,
         templates=templates,
         max_worlds=options["max_worlds"],
@@ -359,19 +361,36 @@ def _check_workers(options: Mapping[str, Any]) -> None:
         raise click.UsageError("--workers needs a system whose processes can hand sockets to each other")
 
 
-def _retention(options: Mapping[str, Any]) -> Retention | None:
-    """Returns the rules by which recordings are removed, if there are any."""
+def _metrics_host(options: Mapping[str, Any]) -> str:
+    """Returns the address of probes and metrics."""
+    address: str | None = options["metrics_host"]
+    if address is not None and options["metrics_port"] is None:
+        raise click.UsageError("--metrics-host is the address of --metrics-port")
+    return address or _LOCAL
+
+
+def _record_to(options: Mapping[str, Any]) -> Path | None:
+    """Returns the directory for the recordings, unless nothing is recorded."""
+    directory: Path | None = options["record_to"]
+    if not options["no_record"]:
+        return directory or _RECORDINGS
+    for option, value in (("keep", options["keep"]), ("record", directory)):
+        if value:
+            raise click.UsageError(f"--{option} does not go with --no-record")
+    return None
+
+
+def _retention(options: Mapping[str, Any], record_to: Path | None) -> Retention | None:
+    """Returns the rules by which recordings of a directory are removed, if there are any."""
     limits: dict[str, float] = {}
     for amount, unit in options["keep"]:
         if unit in limits:
             raise click.UsageError(f"--keep says twice how many {unit}")
         limits[unit] = amount
-    if not limits:
+    if not limits or record_to is None:
         return None
-    if options["no_record"]:
-        raise click.UsageError("--keep does not go with --no-record")
     size = limits.get("bytes")
-    return Retention(options["record_to"], limits.get("days"), None if size is None else int(size))
+    return Retention(record_to, limits.get("days"), None if size is None else int(size))
 
 
 def _sidecar_port() -> int:

@@ -131,9 +131,7 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     "--record",
     "record_to",
     type=click.Path(path_type=Path, file_okay=False),
-    default=Path("recordings"),
-    show_default=True,
-    help="Directory for the recording.",
+    help="Directory for the recording.  [default: recordings]",
 )
 @click.option(
     "--keep",
@@ -236,9 +234,7 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     type=click.IntRange(0, 65535),
     help="Port on which probes and Prometheus learn how the host is; 0 finds a free one.",
 )
-@click.option(
-    "--metrics-host", default="127.0.0.1", show_default=True, help="Address of that port, which asks for no password."
-)
+@click.option("--metrics-host", help="Address of that port, which asks for no password.  [default: 127.0.0.1]")
 @click.option(
     "--http",
     "http_port",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
@@ -61,15 +62,13 @@ def command(
         nmes view walk.mcap again.mcap --web
         nmes view walk.mcap --save walk.rrd
     """
-    if web and save is not None:
-        raise click.UsageError("give --web or --save, not both")
-    if len(what) > 2:
-        raise click.UsageError("two recordings at most can be seen side by side; nmes render takes more")
+    live = len(what) == 1 and ":" in what[0] and not Path(what[0]).exists()
+    _check_usage(context, live)
     argument = next(parameter for parameter in context.command.params if parameter.name == "what")
     with ExitStack() as opened:
         unfinished = None if save is None else opened.enter_context(whole_file(save, *what))
         show = partial(screen, web=web, save=unfinished, host=host, port=port)
-        if len(what) == 1 and ":" in what[0] and not Path(what[0]).exists():
+        if live:
             address = split_address(context, argument, what[0])
             assert address is not None
             client = connector(address, world=world, **connection)()
@@ -87,6 +86,24 @@ def command(
             _announce(display, save)
             _show(recordings, display, fps)
             _stay(display, web)
+
+
+def _check_usage(context: click.Context, live: bool) -> None:
+    """Refuses options that do not go together, or with what is to be seen: a live world, or recordings."""
+    options = context.params
+    used = {name for name in options if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
+    for wrong, message in (
+        (options["web"] and options["save"] is not None, "give --web or --save, not both"),
+        (len(options["what"]) > 2, "two recordings at most can be seen side by side; nmes render takes more"),
+        ("port" in used and not options["web"], "--port is where --web listens"),
+        ("host" in used and options["save"] is not None, "--save writes a file, and nothing listens on --host"),
+        (
+            not live and used & {"world", "password", "password_file", "tls", "tls_ca"},
+            "--world and what is said of a connection (--password, --tls) are of a live world, at HOST:PORT",
+        ),
+    ):
+        if wrong:
+            raise click.UsageError(message)
 
 
 def _show(recordings: list[Recording], display: Screen, fps: float) -> None:

@@ -379,6 +379,29 @@ def test_wrong_usage_exits_2_and_names_what_is_wrong(
     assert result.exception is None or isinstance(result.exception, SystemExit)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (("view", "FILE", "--web", "--world", "x"), "--world"),
+        (("view", "FILE", "FILE", "--save", "x.rrd", "--tls"), "--tls"),
+        (("view", "FILE", "--password", "x"), "--password"),
+        (("view", "FILE", "--save", "x.rrd", "--port", "0"), "--port"),
+        (("view", "127.0.0.1:1", "--password", "x", "--port", "9000"), "--port"),
+        (("view", "FILE", "--save", "x.rrd", "--host", "127.0.0.1"), "--host"),
+        (("serve", "--port", "0", "--record", "x", "--no-record"), "--record"),
+        (("serve", "--port", "0", "--metrics-host", "127.0.0.1"), "--metrics-host"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_wrong_usage(
+    arguments: tuple[str, ...], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recording = str(ROOT / "replays" / "mujoco-clients.mcap")
+    result = run(*(recording if word == "FILE" else word for word in arguments))
+    assert result.exit_code == 2 and option in result.stderr.splitlines()[-1], result.output
+    assert not [*tmp_path.iterdir()]
+
+
 def test_an_unreadable_password_file_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "password").write_bytes(b"\xff")
     result = run("serve", "--no-record", "--password-file", str(tmp_path / "password"))
