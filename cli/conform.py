@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -47,7 +49,12 @@ STYLES = {
     Verdict.FAULT: "bold magenta",
 }
 SOME = 3  # cases that the summary names of those that failed of the same
+_WITH_REPLAY = {"script", "address", "password", "password_file", "timeout"}
 _FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
+
+
+class _NotWritten(click.ClickException):
+    exit_code = 2  # 1 would say that the server does not conform
 
 
 def _split(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, str, int] | None:
@@ -88,7 +95,9 @@ def _split(context: click.Context, parameter: click.Parameter, value: str | None
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 @click.option("--junit", type=_FILE, help="Write the report as JUnit XML.")
 @click.option("--report", "page", type=_FILE, help="Write the report as one HTML page.")
+@click.pass_context
 def command(
+    context: click.Context,
     address: tuple[str, str, int] | None,
     password: str | None,
     password_file: Path | None,
@@ -111,8 +120,8 @@ def command(
     wrong is shrunk to the shortest conversation and saved as a file in this directory, for --replay. The server's world
     should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.
 
-    Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage, the suite's own fault, or a time limit that was over
-    before anything failed.
+    Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage, the suite's own fault, a report that cannot be
+    written, or a time limit that was over before anything failed.
 
     For example:
 
@@ -124,6 +133,9 @@ def command(
         nmes conform 127.0.0.1:14000 --fail-fast --time-limit 60
         nmes conform 127.0.0.1:14000 --replay conform-17.1-0-0.json
     """
+    used = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
+    if script is not None and used - _WITH_REPLAY:
+        raise click.UsageError("--replay plays one conversation: only the password and --timeout go with it")
     options = Options(only, categories, seed, fail_fast, time_limit)
     try:
         cases = select(options)
@@ -136,20 +148,11 @@ def command(
     try:
         if script is not None:
             sys.exit(_replay(target, _load(script)))
-        report = _run(target, options, len(cases))
+        files = {path: form for path, form in ((page, to_html), (junit, to_junit)) if path is not None}
+        sys.exit(_judge(target, options, len(cases), files, as_json))
     except NmesError as error:
         click.echo(f"Error: {error.message}", err=True)
         sys.exit(2)
-    scripts = _save(report)
-    if page is not None:
-        _write(page, to_html(report))
-    if junit is not None:
-        _write(junit, to_junit(report))
-    if as_json:
-        print_json(to_json(report))
-    else:
-        _print(report, scripts)
-    sys.exit(report.exit_status)
 
 
 def _target(
@@ -185,6 +188,31 @@ def _list(cases: Any, as_json: bool) -> None:
     click.echo(f"{len(cases)} of {len(CASES)} cases in {len(CATEGORIES)} categories")
 
 
+def _judge(
+    target: Target, options: Options, count: int, files: Mapping[Path, Callable[[Report], str]], as_json: bool
+) -> int:
+    """Runs cases, prints the report, writes it to files, each in its form, and returns the exit status."""
+    report = failure = None
+    try:
+        with ExitStack() as opened:
+            unfinished = [(opened.enter_context(whole_file(path)), form) for path, form in files.items()]
+            report = _run(target, options, count)
+            for path, form in unfinished:
+                path.write_text(form(report), "utf-8")
+    except click.ClickException as error:
+        failure = _NotWritten(error.message)
+        if report is None:
+            raise failure from error
+    scripts = _save(report)
+    if as_json:
+        print_json(to_json(report))
+    else:
+        _print(report, scripts)
+    if failure is not None:
+        raise failure
+    return report.exit_status
+
+
 def _run(target: Target, options: Options, count: int) -> Report:
     errors = Console(stderr=True)
     progress = Progress(
@@ -204,20 +232,20 @@ def _run(target: Target, options: Options, count: int) -> Report:
 
 
 def _save(report: Report) -> dict[str, Path]:
-    """Writes the conversations that searches have found wrong; returns the files by case number."""
+    """Writes the conversations that searches have found wrong, as far as it can; returns the files by case number."""
     paths = {}
     for result in report.results:
         if result.script is not None:
             path = Path(f"conform-{result.case.number.replace(':', '-')}-{report.options.seed}.json")
             about = {"suite": suite_hash(), "expected": result.expected, "received": result.received}
-            _write(path, write_script(result.script, case=result.case.number, seed=report.options.seed, **about))
-            paths[result.case.number] = path
+            text = write_script(result.script, case=result.case.number, seed=report.options.seed, **about)
+            try:
+                with whole_file(path) as unfinished:
+                    unfinished.write_text(text, "utf-8")
+                paths[result.case.number] = path
+            except click.ClickException as error:  # the report, which comes next, says more
+                error.show()
     return paths
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as unfinished:
-        unfinished.write_text(text, "utf-8")
 
 
 def _load(path: Path) -> Script:

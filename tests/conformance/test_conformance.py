@@ -22,6 +22,7 @@ import pytest
 from click.testing import CliRunner
 from click.testing import Result as Outcome
 
+from disks import full_disk
 from layout import ROOT
 from nmes.cli import main
 from nmes.conformance import CASES, Category, Options, Report, Target, Trial, Verdict, run, select, suite_hash
@@ -389,6 +390,44 @@ def test_every_report_format_holds_all_results(tmp_path: Path) -> None:
     assert '<b>"' not in text and "http" not in text  # nothing unescaped, nothing from elsewhere
     suites = ElementTree.parse(junit).getroot()
     assert [(suite.get("failures"), suite.get("skipped")) for suite in suites] == [("1", "0"), ("0", "1")]
+
+
+@pytest.mark.parametrize("option", ["--report", "--junit"])
+def test_a_report_that_cannot_be_written_is_found_before_anything_is_judged(option: str, tmp_path: Path) -> None:
+    came: list[socket.socket] = []
+    with listening(came.append) as port:
+        outcome = cli(f"127.0.0.1:{port}", "--only", "1.1", option, str(tmp_path / "no" / "such" / "x"))
+    assert outcome.exit_code == 2 and came == []
+    assert outcome.stderr.startswith("Error: cannot write ") and outcome.stdout == ""
+
+
+@pytest.mark.parametrize("option", ["--report", "--junit"])
+def test_what_was_judged_is_printed_where_a_report_is_too_large_for_the_disk(option: str, tmp_path: Path) -> None:
+    with served() as server, full_disk(100):
+        judged = [f"127.0.0.1:{server.port}", "--only", "1.1", "--json"]
+        outcome = cli(*judged, option, str(tmp_path / "x"))
+    assert outcome.exit_code == 2 and "cannot write" in outcome.stderr and not [*tmp_path.iterdir()]
+    assert json.loads(outcome.stdout)["results"][0]["verdict"] == "ok"
+
+
+def test_what_was_judged_is_printed_where_a_conversation_cannot_be_saved(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    own_the_base_of_another(monkeypatch)
+    with served() as server, full_disk(100):
+        status, output = process(f"127.0.0.1:{server.port}", "--only", "17.1:0", "--seed", "3")
+    assert status == 1 and "does not conform" in output and "--replay" not in output
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize(
+    "options", [["--json"], ["--report", "x"], ["--junit", "x"], ["--only", "1.*"], ["--seed", "0"], ["--list"]]
+)
+def test_an_option_of_the_whole_suite_does_not_go_with_one_conversation(options: list[str], tmp_path: Path) -> None:
+    (tmp_path / "case.json").write_text("{}")
+    outcome = cli("127.0.0.1:1", "--replay", str(tmp_path / "case.json"), *options)
+    assert outcome.exit_code == 2 and "--replay plays one conversation" in outcome.stderr
 
 
 # -- as tests of somebody else ----------------------------------------------------------------------------------------
