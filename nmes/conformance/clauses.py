@@ -31,7 +31,7 @@ _PROSE: Final[Mapping[str, str]] = {
     "1.4.3": "time until auth | 5 s | `auth_timeout`, closed",
     "1.4.4": "time without a frame in either direction | 5 min; a `ping` keeps the connection open | closed",
     "1.4.5": "bytes that a peer leaves unread | 8 MiB, or 10 s | `slow_consumer`, closed",
-    "1.4.6": "connections to a host | 1,024 | `too_many_connections`, closed",
+    "1.4.6": "connections to a host, or to each worker of one | 1,024 | `too_many_connections`, closed",
     "1.4.7": "cubes and joints in a world | 10,000 and 20,000 | `limit_reached`",
     "2.1.1": "The first frame decides: one that begins with `{` is JSON, anything else is a bare password",
     "2.2.1": "accepted | [`auth_success`](messages.md#auth_success) | the bare text `auth_success`",
