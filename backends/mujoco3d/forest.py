@@ -71,6 +71,8 @@ class Joint:
         anchor1: Anchor in the frame of body1, m; `anchor2` the same point in the frame of body2.
         axis2: Axis in the frame of body2 (where body2 is turned about the axis, it is the same in both).
         zero: Orientation of body2 relative to body1 at coordinate zero.
+        held_at: The coordinate of a hinge or slide that is in no model, since both its bodies are frozen: poses do not
+            tell whole turns. 0 while a model has it.
     """
 
     number: int
@@ -82,6 +84,7 @@ class Joint:
     axis2: Vector
     zero: Quaternion
     params: JointParams
+    held_at: float = field(default=0.0, repr=False)
 
     @classmethod
     def from_spec(cls, number: int, spec: JointSpec, one: BodyState, two: BodyState) -> Joint:
@@ -108,11 +111,17 @@ class Joint:
             params["limits"] = tuple(params["limits"])
         return cls(**{**fields, **vectors, "params": JointParams(**params)})
 
+    def to_json(self) -> dict[str, Any]:
+        """Returns the fields for a snapshot: `held_at` only where it is not 0."""
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        return {name: value for name, value in fields.items() if name != "held_at" or value}
+
     @property
     def identity(self) -> int:
         """A hash of all that MuJoCo's state does not hold."""
         # A motor's targets are in the state as controls; leaving them out here keeps setting one cheap.
-        return _hash("joint", replace(self, params=replace(self.params, target_velocity=0.0, target_position=0.0)))
+        plain = replace(self, params=replace(self.params, target_velocity=0.0, target_position=0.0))
+        return _hash("joint", plain, *([self.held_at] if self.held_at else []))
 
     @property
     def form(self) -> str:

@@ -96,12 +96,24 @@ def _rebuild(running: RunningModel, structure: Structure, scene: SceneSpec, stat
     sleep = {} if structure.wake_all else surviving_sleep(old, running.asleep, states, structure.bodies)
     running.install(compiled, joints)
     transfer_state(old, old_data, compiled, running.data, joints, states, balls)
+    _hold_joints(structure, old, old_data, compiled)
     running.depenetration.watch([body for body in states if body in touched])
     asleep = restored_sleep(compiled, sleep)
     if (asleep >= 0).any():
         running.settle(asleep)
     else:
         running.asleep[:] = asleep
+
+
+def _hold_joints(structure: Structure, old: CompiledModel, data: mujoco.MjData, new: CompiledModel) -> None:
+    """Keeps the coordinates of joints that are in no model any more, and forgets those that are in one again."""
+    for number, joint in structure.joints.items():
+        if joint.kind in ("hinge", "slide"):
+            slot = old.joint.get(number)
+            if slot is not None and number not in new.joint:
+                structure.hold_joint(joint, float(data.qpos[slot.q]))
+            elif joint.held_at and number in new.joint:
+                structure.hold_joint(joint, 0.0)
 
 
 def _compile(running: RunningModel, structure: Structure, scene: SceneSpec, state_of: StateOf) -> CompiledModel:

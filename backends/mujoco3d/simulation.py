@@ -228,8 +228,7 @@ class MujocoSimulation(_Sensed):
         elif spec.kind in ("hinge", "slide"):
             running = self.running
             slot = running.compiled.joint.get(joint)
-            if slot is not None:
-                position = float(running.qpos[slot.q])
+            position = spec.held_at if slot is None else float(running.qpos[slot.q])
             if slot is not None and not self.structure.touched:
                 velocity = float(running.qvel[slot.v])
             else:

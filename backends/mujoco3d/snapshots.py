@@ -46,7 +46,7 @@ def write_snapshot(running: RunningModel, structure: Structure, wrenches: Wrench
     return orjson.dumps(
         {
             "bodies": [body.to_json() for body in structure.bodies.values()],
-            "joints": list(structure.joints.values()),  # orjson writes dataclasses by their fields
+            "joints": [joint.to_json() for joint in structure.joints.values()],
             "frozen_at": frozen_at,
             "force": list(wrenches.forces.items()),
             "impulse": list(wrenches.impulses.items()),
@@ -123,7 +123,7 @@ def _check_structure(fields: dict[str, Any], bodies: dict[int, Body], joints: di
     for joint in joints.values():
         _require(type(joint.number) is int and joint.kind in _KINDS, "numbers and kinds of joints")
         _require({joint.body1, joint.body2} <= bodies.keys() and joint.body1 != joint.body2, "joints of two bodies")
-        _numbers((*joint.anchor1, *joint.anchor2), 6)
+        _numbers((*joint.anchor1, *joint.anchor2, joint.held_at), 7)
         for direction, length in ((joint.axis2, 3), (joint.zero, 4)):
             _require(abs(total(x * x for x in _numbers(direction, length)) - 1.0) < 1e-6, "directions of unit length")
         params = joint.params

@@ -150,8 +150,8 @@ def transfer_state(
             after.qpos[slot.q : slot.q + 4] = _ball(joint.zero, balls[number], slot.flipped)
         elif joint.form == "cone":
             after.qpos[slot.q : slot.q + 3] = _cone(joint, balls[number], slot.flipped)
-        elif old_slot is not None:
-            after.qpos[slot.q] = before.qpos[old_slot.q]
+        else:
+            after.qpos[slot.q] = joint.held_at if old_slot is None else before.qpos[old_slot.q]
     fixed = {end for joint in joints.values() if joint.kind == "fixed" for end in (joint.body1, joint.body2)}
     jointed |= fixed & states.keys()
     if jointed:

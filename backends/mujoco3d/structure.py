@@ -142,6 +142,12 @@ class Structure:
             self._rejoin(joint)
         return joint.form == form
 
+    def hold_joint(self, joint: Joint, at: float) -> None:
+        """Notes the coordinate of a joint that no model has now; 0 for one that a model has again."""
+        self.identity ^= joint.identity
+        joint.held_at = at + 0.0  # no negative zero, which a snapshot would leave out
+        self.identity ^= joint.identity
+
     def _rejoin(self, joint: Joint) -> None:
         self.touched.update((joint.body1, joint.body2))
         self.stale = True

@@ -313,6 +313,15 @@ class ReadsJointsTheOtherWay(PlantedInThePlane):
             return replace(state, position=-state.position)
 
 
+class ForgetsJointsOfTheFrozen(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def set_frozen(self, body: int, frozen: bool) -> None:
+            super().set_frozen(body, frozen)
+            for j in self._bodies[body].joints.values():
+                if j.one.frozen and j.two.frozen:
+                    j.zero = j.two.body.angle - j.one.body.angle
+
+
 class DrivesTooHard(PlantedInThePlane):
     class Defect(PymunkSimulation):
         def add_joint(self, joint: int, spec: JointSpec) -> None:
@@ -440,6 +449,7 @@ CAUGHT = {
     KeepsItsWorlds: "releases_what_it_holds",
     ReadsEffortWithoutSign: "drives_motors",
     ReadsJointsTheOtherWay: "reads_joints",
+    ForgetsJointsOfTheFrozen: "keeps_joints_that_are_frozen_at_both_ends",
     DrivesTooHard: "drives_motors",
     MetersMotorsAsAStepEnds: "power_is_what_the_motor_gives_to_the_scene",
     ForgetsLimits: "stops_at_limits",

@@ -208,6 +208,32 @@ class JointChecks(Checks):
             sim.step(SUBSTEPS)
             assert_close([sim.joint_state(0).position], [sign * motion], 1e-2, f"{kind}: position, rooted elsewhere")
 
+    def test_keeps_joints_that_are_frozen_at_both_ends(self) -> None:
+        """A joint between two frozen bodies reads on where it is, and is there when either of them is released."""
+        for kind, push in (("hinge", 0.1), ("hinge", -2.0), ("slide", 3.0)):  # the second one goes round and round
+            for released in (0, 1):
+                if not self.can(f"joint.{kind}"):
+                    continue
+                sim = self.machine(kind, JointParams())
+                self.drive(sim, kind, push)
+                run(sim, 1.0)
+                there, what = sim.joint_state(0).position, f"{kind}, body {released} is released"
+                assert abs(there) > (math.tau if push < 0.0 else 0.5), f"{what}: hardly moves"
+                sim.set_frozen(1, True)
+                run(sim, 0.1)
+                rows = sim.states([0, 1])
+                assert_close(sim.joint_readings((0,)), [[there, 0.0, 0.0]], 1e-6, f"{what}: while both are frozen")
+                if self.can("snapshot"):
+                    again = self.sim(gravity=ZERO, ground=False)
+                    again.restore(sim.snapshot())
+                    assert again.digest() == sim.digest(), f"{what}: restored, it is another world"
+                    sim = again
+                sim.set_frozen(released, False)
+                for when in ("before the step", "after it"):
+                    assert_close(sim.joint_readings((0,)), [[there, 0.0, 0.0]], 1e-6, f"{what}: {when}")
+                    assert_close(sim.states([0, 1]), rows, 1e-6, f"{what}: states {when}")
+                    sim.step(SUBSTEPS)
+
     def test_swings_a_pendulum(self) -> None:
         """A pendulum's period is that of its inertia."""
         self.need("joint.hinge")
