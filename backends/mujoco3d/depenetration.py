@@ -41,6 +41,15 @@ class Depenetration:
         self.bodies: set[int] = set()
         self.crowds = Crowds(scenery)
 
+    @property
+    def watched(self) -> tuple[set[int], set[int]]:
+        """Which bodies these are, and which of them glide: as they are now, whatever steps come."""
+        return self.bodies.copy(), self.crowds.gliding.copy()
+
+    @watched.setter
+    def watched(self, watched: tuple[set[int], set[int]]) -> None:
+        self.bodies, self.crowds.gliding = watched
+
     def watch(self, bodies: Iterable[int]) -> None:
         """Watches bodies that were edited."""
         self.bodies.update(bodies)

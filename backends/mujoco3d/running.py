@@ -78,6 +78,11 @@ class Wrenches:
         self.forces.pop(body, None)
         self.impulses.pop(body, None)
 
+    def clear(self) -> None:
+        """Drops all that acts."""
+        self.forces.clear()
+        self.impulses.clear()
+
 
 class RunningModel:
     """The model of a scene and its data, replaced (`install`) whenever the structure changes.
@@ -264,11 +269,11 @@ class RunningModel:
         """Advances by engine steps, with wrenches that act and then are gone.
 
         Raises:
-            SimulationFault: The engine cannot go on; the state is the one before the call.
+            SimulationFault: The engine cannot go on; the state is the one before the call, wrenches too.
         """
         for kept, values in self._before:
             kept[:] = values
-        self._began = self.data.time
+        self._began, self._parting = self.data.time, self.depenetration.watched
         self._slots = self.motors.begin(substeps) if self._driven else iter(())
         try:
             if wrenches.forces or wrenches.impulses:
@@ -281,15 +286,16 @@ class RunningModel:
             raise SimulationFault(code, f"MuJoCo: {error}") from error
         self._current = False
         self.senses.forget()
-        if self._may_heap:
-            self._look_for_heap()
         if self._warnings.tobytes() != self._no_warnings:
             try:
                 self._fail()
             finally:
                 self._go_back()
+        if self._may_heap:
+            self._look_for_heap()
         if self._driven:
             self.motors.end()
+        wrenches.clear()
 
     def _advance_pushed(self, substeps: int, wrenches: Wrenches) -> None:
         xfrc, index = self._xfrc, self.compiled.body_index
@@ -311,8 +317,6 @@ class RunningModel:
                 self._advance(substeps)
         finally:
             xfrc[:] = 0.0
-            forces.clear()
-            impulses.clear()
 
     def _advance(self, steps: int) -> None:
         if self.one_by_one:
@@ -391,7 +395,7 @@ class RunningModel:
         """Shows the state before the step that failed."""
         for kept, values in self._before:
             values[:] = kept
-        self.data.time = self._began
+        self.data.time, self.depenetration.watched = self._began, self._parting
         self._xfrc[:] = 0.0
         mujoco.mj_setState(self.model, self.data, self.state(), STATE)  # which wakes all
         self._current = False

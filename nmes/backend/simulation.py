@@ -276,6 +276,7 @@ class Simulation(ABC):
     def recover(self) -> bool:
         """Makes a simulation whose step failed fit to go on, from the state before that step.
 
+        What was to act on bodies in that step acts in the next one.
         What made it fail is still there: whoever goes on takes it away before the next step.
 
         Returns:

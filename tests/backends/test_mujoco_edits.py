@@ -251,6 +251,21 @@ def test_a_divergence_names_its_body() -> None:
     assert (fault.value.code, fault.value.body) == ("diverged", 7)
 
 
+def test_a_step_that_failed_leaves_a_scene_as_it_was() -> None:
+    """In the failing step the crowd begins to come apart, which is seen by whom of it the engine watches."""
+    simulation = scene()
+    simulation.add_body(99, box((30.0, 5.0, 0.0)))
+    for body in range(12):
+        simulation.add_body(body, box((0.0, 3.0, 0.0)))
+    simulation.snapshot()  # takes up the edits
+    simulation.apply(99, NONE, NONE, (1e14, 0.0, 0.0), NONE)
+    before = simulation.snapshot()
+    with pytest.raises(SimulationFault):
+        simulation.step(4)
+    assert simulation.recover()
+    assert simulation.snapshot() == before
+
+
 # -- determinism -----------------------------------------------------------------------------------------------------
 
 
