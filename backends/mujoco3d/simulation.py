@@ -169,6 +169,7 @@ class MujocoSimulation(_Sensed):
     def set_frozen(self, body: int, frozen: bool) -> None:
         """Makes a body part of the world, or lets it go at rest."""
         self.structure.set_frozen(body, frozen, self.body_state(body))
+        self._wrenches.forget(body)
 
     # -- state --------------------------------------------------------------------------------------------------
 

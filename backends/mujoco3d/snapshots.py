@@ -89,7 +89,7 @@ def _take_up(
     for name, wrench in (("force", wrenches.forces), ("impulse", wrenches.impulses)):
         wrench.clear()
         wrench.update((number, [*_numbers(values, 6)]) for number, values in fields[name])
-        _require(wrench.keys() <= bodies.keys(), "forces on bodies alone")  # one may be frozen after it was pushed
+        _require(wrench.keys() <= bodies.keys(), "forces on bodies alone")  # in older ones also on frozen ones
     parting, gliding = set(fields["parting"]), set(fields["gliding"])
     # One may be frozen before the step in which it would have been let apart, and be watched until then.
     _require(gliding <= parting & movable and parting <= bodies.keys(), "only bodies are let apart")

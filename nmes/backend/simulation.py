@@ -126,7 +126,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def set_frozen(self, body: int, frozen: bool) -> None:
-        """Makes a body immovable, or movable again with zero velocity."""
+        """Makes a body immovable, or movable again with zero velocity; what was to act on it is dropped."""
 
     # -- state --------------------------------------------------------------------------------------------------
 

@@ -178,6 +178,14 @@ class FallsFrozen(Planted):
             self._bodies[body].linear = velocity
 
 
+class PushesWhatWasFrozen(Planted):
+    class Defect(BallisticSimulation):
+        def set_frozen(self, body: int, frozen: bool) -> None:
+            impulse = self._bodies[body].impulse
+            super().set_frozen(body, frozen)
+            self._bodies[body].impulse = impulse
+
+
 class FallsTooSlowly(Planted):
     def create(self, scene: SceneSpec) -> BallisticSimulation:
         x, y, z = scene.gravity
@@ -432,6 +440,7 @@ CAUGHT = {
     ChangesWhenAsked: "queries_change_nothing",
     DisturbsOthers: "leaves_alone_what_an_edit_does_not_touch",
     FallsFrozen: "freezes",
+    PushesWhatWasFrozen: "drops_what_acts_on_a_body_that_is_frozen",
     FallsTooSlowly: "falls_along_the_parabola",
     StandsInTheGround: "rests_on_the_ground",
     BouncesHigher: "bounces",

@@ -143,6 +143,16 @@ class BodyChecks(Checks):
         run(sim, 1.0)
         assert_close(sim.body_state(0).position, (0.0, 7.0 - G / 2, 0.0), self.fall_error, "fall after release")
 
+    def test_drops_what_acts_on_a_body_that_is_frozen(self) -> None:
+        """What a body was pushed by before it was frozen is gone, also where it is released before the step."""
+        sim = self.space()
+        sim.add_body(0, box(ZERO))
+        sim.apply(0, (6.0, 0.0, 0.0), (0.0, 0.0, 6.0), (2.0, 0.0, 0.0), (0.0, 0.0, 2.0))
+        sim.set_frozen(0, True)
+        sim.set_frozen(0, False)
+        run(sim, 0.1)
+        self.expect(sim, 0, box(ZERO))
+
     def test_applies_forces_and_impulses(self) -> None:
         """They change the momentum by what they should, add up, act in the next step only, and are not seen before."""
         axes = 3 if self.dims == 3 else 2
