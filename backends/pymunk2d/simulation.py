@@ -250,7 +250,12 @@ class PymunkSimulation(Simulation):
         j = self._joints[joint]
         anchor, axis = j.where()
         world_axis = (axis.x, axis.y, 0.0) if j.kind == "slide" else (0.0, 0.0, j.sign)
-        position, velocity = j.measure() if j.kind in ("hinge", "slide") else (0.0, 0.0)
+        position = velocity = 0.0
+        if j.kind in ("hinge", "slide"):
+            position, velocity = j.measure()
+        elif j.kind == "conetwist" and j.twists:
+            turned, velocity = j.measure()
+            position = math.remainder(turned, math.tau)
         return JointState(position, velocity, self._effort(j), (anchor.x, anchor.y, 0.0), world_axis)
 
     def powers(self, joints: Sequence[int], out: Array) -> None:

@@ -156,7 +156,10 @@ class Simulation(ABC):
 
     @abstractmethod
     def joint_state(self, joint: int) -> JointState:
-        """Returns one joint's reading. For `fixed` and `pin` position, velocity and effort are 0."""
+        """Returns one joint's reading. For `fixed` and `pin` position, velocity and effort are 0.
+
+        For `conetwist` they are of its twist, from -pi to pi, and the effort is 0.
+        """
 
     def set_motor_targets(self, joints: Sequence[int], params: Sequence[JointParams], targets: Array) -> None:
         """Sets the targets of motors, as `set_joint_params` of each in turn would. Engines may have a faster way.

@@ -374,6 +374,12 @@ class ConfusesSwingAndTwist(PlantedInThePlane):
             super().add_joint(joint, replace(spec, params=swapped))
 
 
+class ReadsSwingsAsTwists(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def joint_state(self, joint: int) -> JointState:
+            return replace(super().joint_state(joint), position=self._joints[joint].measure()[0])
+
+
 class SleepsOnInTheAir(PlantedInThePlane):
     class Defect(PymunkSimulation):
         def remove_body(self, body: int) -> None:
@@ -466,6 +472,7 @@ CAUGHT = {
     SpringsTooSoftly: "hangs_a_mass_on_a_spring",
     LosesItsScenery: "stands_on_scenery",
     ConfusesSwingAndTwist: "swings_and_twists_within_a_cone",
+    ReadsSwingsAsTwists: "reads_twists",
     DrivesOnlyTheFirst: "drives_and_reads_many_joints_at_once",
     ReadsManyInItsOwnOrder: "drives_and_reads_many_joints_at_once",
     DampsSpinsAsMotion: "damps_free_bodies",

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from nmes.backend import JointParams, JointSpec, Simulation
+from nmes.backend import JointParams, JointSpec, Simulation, Vector
 from nmes.backend.contract.base import (
     KINDS,
     SUBSTEPS,
@@ -462,6 +462,24 @@ class JointChecks(Checks):
             sim.add_joint(0, JointSpec("conetwist", 0, 1, (0.5, 5.0, 0.0), axis, JointParams(limits=(0.3, 0.7))))
             run(sim, 4.0)
             assert_close(sim.body_state(1).quaternion, about_z(-stop), 0.02, f"how far it hangs about {axis}")
+
+    def test_reads_twists(self) -> None:
+        """A conetwist joint reads its twist, signed by its axis, and no swing."""
+        self.need("joint.conetwist")
+        axes: tuple[tuple[Vector, int], ...] = (((0.0, 0.0, 1.0), 1), ((0.0, 0.0, -1.0), -1), ((1.0, 0.0, 0.0), 0))
+        for axis, sign in axes:
+            sim = self.space()
+            sim.add_body(0, box((-5.0, 0.0, 0.0), frozen=True))
+            sim.add_body(1, box(ZERO, angular_velocity=(0.0, 0.0, 1.5)))
+            sim.add_joint(0, JointSpec("conetwist", 0, 1, ZERO, axis))
+            for _ in range(240):  # round and round
+                sim.step(SUBSTEPS)
+                reading, row = sim.joint_state(0), sim.states([1])[0]
+                turned = math.remainder(sign * 2.0 * math.atan2(row[5], row[6]), math.tau)
+                assert_close([reading.velocity], [sign * row[12]], 1e-6, f"twist about {axis}: velocity")
+                off = math.remainder(reading.position - turned, math.tau)
+                assert_close([off], [0.0], 1e-6, f"twist about {axis}: position")
+                assert abs(reading.position) <= math.pi + 1e-9, f"twist about {axis}: {reading.position} rad"
 
     def test_holds_loops(self) -> None:
         """A 3x3 grid of cubes with 12 hinges drops, holds together and comes to rest."""
