@@ -75,11 +75,21 @@ class ActuatorBatch:
         self._log: StepLog | None = None
         self.last: tuple[StepLog, int] | None = None
         self._unsynced: dict[Joints, None] = {}  # those whose controls are newer than their parameters
+        self._idle: list[Joint] | None = None  # None: to be looked up
 
     def forget(self) -> None:
         """Looks motors up again, since more than the target of a joint has changed."""
         self._motors.clear()
-        self._log = None
+        self._log = self._idle = None
+
+    @property
+    def idle(self) -> list[Joint]:
+        """The hinges and slides without a control: their targets are nowhere but in their parameters."""
+        if self._idle is None:
+            driven, each = self.compiled.actuator, self._joints.values()
+            moving = [joint for joint in each if joint.kind in ("hinge", "slide")]
+            self._idle = [j for j in moving if j.number not in driven or j.params.max_effort <= 0.0]
+        return self._idle
 
     def set_targets(self, joints: Joints, targets: Array) -> list[int] | None:
         """Sets the targets of motors; returns the bodies of the model that this wakes, None where it has to be slow."""
@@ -97,7 +107,7 @@ class ActuatorBatch:
 
     def _locate_motors(self, joints: Joints) -> _Motors | None:
         driven, compiled = [self._joints[joint] for joint in joints], self.compiled
-        # A motor without strength has no control: its target is nowhere but in its parameters.
+        # A motor without strength has no control.
         if not all(joint.number in compiled.actuator and joint.params.max_effort > 0.0 for joint in driven):
             return None
         bodies = dict.fromkeys(compiled.body_index[number] for joint in driven for number in (joint.body1, joint.body2))

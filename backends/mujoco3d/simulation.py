@@ -291,6 +291,11 @@ class MujocoSimulation(_Sensed):
             # The targets of motors that are not built yet are in no control.
             params = [joint.params for joint in structure.joints.values()]
             digest.update(repr([(p.target_velocity, p.target_position) for p in params]).encode())
+        else:
+            targets = [(j.number, j.params.target_velocity, j.params.target_position) for j in running.motors.idle]
+            aimed = [each for each in targets if each[1] or each[2]]
+            if aimed:
+                digest.update(repr(aimed).encode())
         if running.depenetration.bodies:
             digest.update(repr(sorted(running.depenetration.bodies)).encode())
             if running.depenetration.crowds.gliding:

@@ -330,6 +330,13 @@ class ForgetsJointsOfTheFrozen(PlantedInThePlane):
                     j.zero = j.two.body.angle - j.one.body.angle
 
 
+class DigestsOnlyMotorsThatDrive(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def set_joint_params(self, joint: int, params: JointParams) -> None:
+            idle = params.motor == "off" or params.max_effort == 0.0
+            super().set_joint_params(joint, params.with_target(0.0) if idle else params)
+
+
 class DrivesTooHard(PlantedInThePlane):
     class Defect(PymunkSimulation):
         def add_joint(self, joint: int, spec: JointSpec) -> None:
@@ -465,6 +472,7 @@ CAUGHT = {
     ReadsEffortWithoutSign: "drives_motors",
     ReadsJointsTheOtherWay: "reads_joints",
     ForgetsJointsOfTheFrozen: "keeps_joints_that_are_frozen_at_both_ends",
+    DigestsOnlyMotorsThatDrive: "digests_targets_that_nothing_drives_towards",
     DrivesTooHard: "drives_motors",
     MetersMotorsAsAStepEnds: "power_is_what_the_motor_gives_to_the_scene",
     ForgetsLimits: "stops_at_limits",

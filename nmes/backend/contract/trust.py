@@ -11,7 +11,7 @@ import unittest
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -143,6 +143,24 @@ class TrustChecks(Checks):
             assert digest == sim.digest(), f"{name}: asked twice, two digests"
             assert digest not in digests, f"the digest does not see {name} (it is that of {digests[digest]})"
             digests[digest] = name
+
+    def test_digests_targets_that_nothing_drives_towards(self) -> None:
+        """Of motors that are off or have no strength, or whose bodies are frozen: they count once that changes."""
+        self.need("motor")
+        kind = self.a_joint("hinge", "slide")
+        idle: tuple[tuple[Literal["off", "velocity"], float, bool], ...]
+        idle = (("off", 1.0, False), ("velocity", 0.0, False), ("velocity", 1.0, True))
+        for motor, effort, frozen in idle:
+            digests = []
+            for target in (0.0, 1.0, math.nextafter(1.0, 2.0)):
+                sim = self.machine(kind, JointParams(motor, max_effort=effort))
+                sim.set_frozen(1, frozen)
+                sim.step(SUBSTEPS)
+                sim.set_joint_params(0, JointParams(motor, target_velocity=target, max_effort=effort))
+                sim.step(SUBSTEPS)
+                digests.append(sim.digest())
+            what = "between frozen bodies" if frozen else f"that is {motor}, of {effort:g} N m"
+            assert len(set(digests)) == len(digests), f"the digest does not see the target of a motor {what}"
 
     def test_digests_every_tick(self) -> None:
         """While something moves, no two ticks have the same digest."""
