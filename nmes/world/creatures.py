@@ -302,6 +302,7 @@ class Creatures:
             message = f"name: the names of this body's parts leave room for {most} characters"
             raise WorldError("invalid", message, "name")
         self._entities.require_room(len(body.born.cubes), len(body.born.joints))
+        self._entities.require_connectable(len(body.born.cubes), "genome/body")
         self._entities.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
         for cube in body.cubes:
             self._entities.groups.number(cube.group, "genome/body")
@@ -315,7 +316,9 @@ class Creatures:
             if joint.stiffness or joint.damping:
                 self._entities.require("spring", "springs in joints", path)
             if joint.motor is not None:
-                self._entities.require("motor" if joint.motor.mode == "velocity" else "servo", "such motors", path)
+                self._entities.require("motor", "motors in joints", path)  # a servo's too: it bounds their effort
+                if joint.motor.mode == "position":
+                    self._entities.require("servo", "servos in joints", path)
         for ear in body.sensors:
             self._check_number(ear.channel, ear.number, "genome/sensors")
         for voice in body.voices:

@@ -464,7 +464,12 @@ class Entities:
         most = self._backend.most_joined
         if most is None or len(self.joints) + len(pairs) < most:  # so few joints connect no more
             return
-        if most_connected(pairs, self.joints) > most:
+        self.require_connectable(most_connected(pairs, self.joints), path)
+
+    def require_connectable(self, cubes: int, path: str) -> None:
+        """Raises `limit_reached` where the engine takes no structure of so many cubes."""
+        most = self._backend.most_joined
+        if most is not None and cubes > most:
             message = f"joints may connect at most {most} cubes on the {self._backend.name} backend"
             raise WorldError("limit_reached", f"{message}, and would be more here", path)
 

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmes import World, protocol
+from nmes.backends.pymunk2d import PymunkBackend
 from nmes.errors import WorldError
 from nmes.playback import replay
 from nmes.recording import Recorder, Recording
@@ -274,6 +275,30 @@ def test_an_engine_that_lacks_what_a_body_needs_says_so() -> None:
     assert (reply["code"], reply["field"]) == ("unsupported", "genome/body")
     reply = Place(backend="pymunk")("spawn_creature", genome=crawler())  # it bends about y
     assert (reply["code"], reply["field"]) == ("unsupported", "genome/body")
+
+
+@pytest.mark.parametrize(
+    ("lacks", "value", "code"),
+    [
+        ("capabilities", PymunkBackend.capabilities - {"motor"}, "unsupported"),
+        ("capabilities", PymunkBackend.capabilities - {"servo"}, "unsupported"),
+        ("most_joined", 3, "limit_reached"),
+    ],
+    ids=["no_motors", "no_servos", "no_structure_of_four"],
+)
+def test_an_engine_that_lacks_what_a_body_needs_gets_none_of_it(
+    lacks: str, value: Any, code: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    genome = crawler(4)
+    for joint in genome["body"]["joints"]:
+        joint["axis"] = [0, 0, 1]
+    monkeypatch.setattr(PymunkBackend, lacks, value)
+    place = Place(backend="pymunk")
+    reply = place("spawn_creature", genome=genome)
+    assert (reply["code"], reply["field"]) == (code, "genome/body")
+    assert not place.world.cubes()
+    if lacks == "most_joined":
+        assert place("spawn_creature", genome={**genome, "later": ["s3"]})["type"] == "creature_spawned"
 
 
 def test_a_planar_body_can_be_spawned_in_the_planar_engine() -> None:
