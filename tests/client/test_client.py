@@ -605,7 +605,11 @@ async def test_closing_while_a_reply_is_awaited_raises() -> None:
 
 async def test_a_client_closes_though_the_server_has_stopped_reading() -> None:
     closed = threading.Event()
-    with scripted(lambda end: closed.wait()) as port:
+
+    def script(end: Scripted) -> None:
+        closed.wait(PATIENCE)
+
+    with scripted(script) as port:
         client = await AsyncClient(port=port, password="x", timeout=PATIENCE).connect()
         client.timeout = 0.05
         with pytest.raises(TimeoutError):
