@@ -35,7 +35,7 @@ from nmes.errors import MACHINE_ERRORS, DocumentError, NmesError, RecordingError
 from nmes.evaluation.episode import METADATA, Episode
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.judge import Result
-from nmes.evaluation.parallel import Lost, open_pool
+from nmes.evaluation.parallel import Here, Lost, Workers, open_pool
 from nmes.evaluation.population import admit, guarded, run_alone, run_population
 from nmes.evaluation.portions import cut
 from nmes.evaluation.seeding import read_seeds
@@ -381,7 +381,9 @@ class Evaluator:
         while portions:
             lost: list[list[_Part]] = []
             work = [[part.job for part in portion] for portion in portions]
-            for number, results in self._pool.run(evaluate_portion, work):
+            # To start a process takes longer than most creatures by themselves.
+            pool = Here() if len(work) == 1 and isinstance(self._pool, Workers) else self._pool
+            for number, results in pool.run(evaluate_portion, work):
                 portion = portions[number]
                 if isinstance(results, Lost) and len(portion) > 1:
                     lost += [[part] for part in portion]  # one of them did it; the others are done again without it

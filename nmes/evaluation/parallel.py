@@ -171,7 +171,7 @@ class Workers(Pool):
     They are started when the first call has work for them. Only one call runs at a time.
 
     Args:
-        jobs: How many at most. For a single item of `run`, functions are called in this process.
+        jobs: How many at most.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -193,15 +193,6 @@ class Workers(Pool):
     def busy(self) -> bool:
         """As `Pool.busy`."""
         return bool(self._busy)
-
-    def run(
-        self, function: Callable[[Item], Result], items: Sequence[Item]
-    ) -> Generator[tuple[int, Result | Lost], None, None]:
-        """As `Pool.run`."""
-        if len(items) == 1:
-            yield 0, _called(function, items[0])
-        else:
-            yield from super().run(function, items)
 
     def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
         """As `Pool.give`: to a process that is idle and has not died since, or a new one."""

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
-from multiprocessing import Pipe
+from multiprocessing import Pipe, parent_process
 from pathlib import Path
 
 import orjson
@@ -24,7 +24,7 @@ def square(number: int) -> tuple[int, int, str | None]:
 
 
 def die_over_three(number: int) -> int:
-    if number == 3:
+    if number == 3 and parent_process() is not None:
         os.kill(os.getpid(), signal.SIGSEGV)
     return number
 
@@ -61,8 +61,13 @@ def test_every_item_is_worked_on_once_by_workers_with_one_thread() -> None:
 
 
 def test_one_job_runs_in_the_calling_process() -> None:
-    assert list(in_processes(square, [5], 4)) == [(0, (25, os.getpid(), os.environ.get("OMP_NUM_THREADS")))]
-    assert [i for i, _ in in_processes(square, [5, 6], 1)] == [0, 1]
+    here = os.getpid(), os.environ.get("OMP_NUM_THREADS")
+    assert list(in_processes(square, [5, 6], 1)) == [(0, (25, *here)), (1, (36, *here))]
+
+
+def test_a_single_item_that_kills_its_process_kills_no_other() -> None:
+    ((place, lost),) = in_processes(die_over_three, [3], 2)
+    assert place == 0 and isinstance(lost, Lost) and "SIGSEGV" in lost.reason
 
 
 def test_a_worker_that_dies_loses_one_item_only() -> None:
@@ -85,7 +90,7 @@ def test_what_a_machine_lacks_loses_one_item_only(jobs: int) -> None:
         assert isinstance(lost, Lost) and lost.reason.endswith("MemoryError: no room")
         numbers = {place: outcome[0] for place, outcome in outcomes.items() if not isinstance(outcome, Lost)}
         assert numbers == {i: i for i in (0, 1, 2, 4, 5)}
-        assert isinstance(dict(workers.run(lack_over_three, [3]))[0], Lost)  # in this process
+        assert isinstance(dict(workers.run(lack_over_three, [3]))[0], Lost)
 
 
 def test_a_worker_says_nothing_where_its_pipe_ends() -> None:

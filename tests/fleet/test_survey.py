@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -26,6 +28,7 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import fingerprint
 from nmes.errors import MachineError
 from nmes.evaluation import Workers, evaluate, parallel
+from nmes.evaluation.evaluator import Job, evaluate_portion
 from nmes.evaluation.parallel import Here
 from nmes.evaluation.task import Task
 from nmes.fleet.atlas import GRAVITIES, HEIGHTS, atlas
@@ -100,6 +103,27 @@ def test_kills_do_not_show_in_a_survey(whole: Survey, tmp_path: Path) -> None:
             child.kill()
     assert finish(Survey.open(folder)).digest == whole.digest
     assert (folder / "log.jsonl").read_bytes() == (whole.folder / "log.jsonl").read_bytes()
+
+
+def crash_over_world_three(portion: Sequence[Job]) -> list[Any]:
+    if any(settings().seed_of(3) in (job.seeds or ()) for job in portion):
+        assert parent_process() is not None, "this would have been the process of the survey"
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return [*evaluate_portion(portion)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_world_over_which_the_engine_crashes_says_so_and_the_survey_goes_on(
+    jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nmes.fleet.survey.evaluate_portion", crash_over_world_three)
+    with Workers(jobs) as pool:
+        survey = Survey.create(tmp_path / "survey", settings(6))
+        for _ in survey.advance(pool, nothing):
+            pass
+    assert survey.finished
+    assert {world.world for world in survey.worlds if world.error is not None} == {3}
+    assert "SIGSEGV" in str(survey.worlds[3].error)
 
 
 def test_ctrl_c_leaves_a_survey_that_can_be_gone_on_with(tmp_path: Path) -> None:
