@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Any
 
 import orjson
@@ -11,6 +12,7 @@ from nmes.errors import DocumentError
 from nmes.evaluation import Task
 from nmes.evolution.algorithm import Algorithm, Candidate, Measure, Problem, Score
 from nmes.evolution.algorithms import ALGORITHMS, algorithm_options, load_algorithm
+from nmes.evolution.run import Order
 from nmes.genome import Genome
 
 LENGTH = 40
@@ -165,3 +167,11 @@ def test_options_out_of_their_bounds_are_refused_by_name(name: str) -> None:
         with pytest.raises(DocumentError) as caught:
             new(name, **wrong)
         assert any(path == f"options.{option}" for path, _ in caught.value.problems)
+
+
+def test_random_search_has_no_more_than_a_window_of_candidates_under_way() -> None:
+    order = Order(new("random"), 10**9)
+    asked = dict(islice(order.due(), 300))
+    assert len(asked) == 256
+    order.tell(asked[0], Score(1.0))
+    assert [index for index, _ in order.due()] == [256]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.best import Best
@@ -11,6 +12,8 @@ from nmes.evolution.algorithms.breeding import found
 from nmes.evolution.algorithms.requirements import check_problem
 
 __all__ = ["RandomSearch"]
+
+_WINDOW: Final = 256  # candidates that may be evaluated at once: all of a budget would be kept in memory, and in no log
 
 
 class RandomSearch(Algorithm):
@@ -33,8 +36,8 @@ class RandomSearch(Algorithm):
         self._problem, self._best = problem, Best()
 
     def needs(self, index: int) -> int:
-        """Returns 0: no candidate depends on another."""
-        return 0
+        """Returns how many candidates must be told before: all but the window's, though none depends on another."""
+        return max(0, index - _WINDOW + 1)
 
     def ask(self, index: int) -> Candidate:
         """Returns the candidate of this index; see `Algorithm`."""
