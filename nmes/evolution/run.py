@@ -235,7 +235,11 @@ class Run:
             with self._whole(record.index):
                 candidate = entry.candidate
             ask()
-            order.tell(candidate, entry.score)
+            try:
+                order.tell(candidate, entry.score)
+            except (DocumentError, LookupError, ValueError) as error:
+                what = f"candidate {record.index} is none that {self.settings.algorithm!r} can have asked for"
+                raise self._log.damaged(record.index + 1, what) from error
             yield record
 
     # -- reading the log -------------------------------------------------------------------------------------------

@@ -126,11 +126,11 @@ class _Verification:
             if entry.record(line) != record:
                 yield f"candidate {record.index}: the index has something else of it than the log: delete the index"
             try:
-                candidate = entry.candidate
+                _ = entry.candidate
             except DocumentError as error:
                 yield f"candidate {record.index}: its genome is none: {error.message}"
                 return
-            order.tell(candidate, entry.score)
+            order.tell(again, entry.score)  # with another's it might not go on, and in what it is another is told
             yield from self._compare_state()
 
     def _compare_state(self) -> Iterator[str]:

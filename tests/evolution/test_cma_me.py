@@ -135,3 +135,9 @@ def test_problems_that_are_none_for_it_are_refused(
         load_algorithm("cma-me", problem, options)
     assert caught.value.path == place
     assert words in caught.value.message
+
+
+@pytest.mark.parametrize(("size", "options"), [(10, {"batch": 10_000, "emitters": 101}), (100, {"emitters": 334})])
+def test_emitters_that_would_fill_the_memory_are_refused(size: int, options: dict[str, int]) -> None:
+    with pytest.raises(DocumentError, match=r"options\.emitters: makes 10,.* numbers to be kept in memory"):
+        load_algorithm("cma-me", vector_problem([0.0] * size, 1, *grid(size, 9)), options)

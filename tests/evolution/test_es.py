@@ -12,6 +12,7 @@ import pytest
 from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Algorithm, Candidate, Measure, Problem, Score
 from nmes.evolution.algorithms import load_algorithm
+from nmes.genome import Genome
 from vectors import WALK, Vector, feed, sphere, vector_genome, vector_of, vector_problem
 
 ONES = [1.0] * 10
@@ -118,3 +119,12 @@ def test_problems_that_are_none_for_it_are_refused(
         es(problem, **options)
     assert caught.value.path == place
     assert words in caught.value.message
+
+
+def test_a_population_that_would_fill_the_memory_with_directions_is_refused() -> None:
+    wide = [{"weights": [[0.0] * 100] * 100, "biases": [0.0] * 100} for _ in range(2)]
+    document = vector_genome([1.0] * 301).document
+    first, last = document["brain"]["layers"]
+    genome = Genome({**document, "brain": {"kind": "mlp", "layers": [first, *wide, last]}})
+    with pytest.raises(DocumentError, match=r"options\.population: makes 102,505,000 numbers to be kept in memory"):
+        es(Problem(WALK, 1, (genome,)), population=10_000)

@@ -191,6 +191,52 @@ def test_no_run_holds_up_a_lab(tmp_path: Path) -> None:
         assert lab.good("/api/tasks")["items"]
 
 
+# -- candidates that nobody asked for --------------------------------------------------------------------------------
+
+
+def scored(index: int, **changes: Any) -> Json:
+    result = {"seed": 1, "score": 1.0, "energy": 1.0, "distance": 1.0, "ticks": 1, "ended": None, "fault": None}
+    return {**RECORD, "index": index, "error": None, "score": 1.0, "results": [result], **changes}
+
+
+def of(name: str, **changes: Any) -> Json:
+    genome = Genome.load(name)
+    return {"genome": genome.document, "genome_hash": genome.hash, **changes}
+
+
+MEASURES = [{"expression": "mass", "low": 0, "high": 9, "cells": 3}]
+
+
+@pytest.mark.parametrize(
+    ("settings", "records"),
+    [
+        ({"algorithm": "neat", "starts": ["roller"], "options": {"population": 2}}, [scored(0, **of("inchworm"))]),
+        (
+            {"algorithm": "islands", "starts": ["walker"], "options": {"islands": 2}},
+            [scored(0), scored(1), scored(2), scored(3, parents=[2])],
+        ),
+        (
+            {"algorithm": "cma-me", "starts": ["inchworm"], "measures": MEASURES, "options": {"emitters": 1}},
+            [scored(0, measures=[1.0], **of("walker"))],
+        ),
+    ],
+    ids=["neat", "islands", "cma-me"],
+)
+def test_a_log_of_candidates_that_its_algorithm_cannot_have_asked_for_is_damaged(
+    settings: Json, records: list[Json], tmp_path: Path
+) -> None:
+    folder = evolution(tmp_path / "run", *records, budget=len(records) + 1, seeds=[1], **settings)
+    result = run("evolve", "verify", folder, "--jobs", "1", "--sample", "0")
+    assert result.exit_code == 1 and f"candidate {len(records) - 1}: " in result.output, result.output
+    for command in ("resume", "show"):
+        result = (
+            run("evolve", command, folder, "-o", tmp_path / "x.html")
+            if command == "show"
+            else run("evolve", command, folder, "--jobs", "1")
+        )
+        assert result.exit_code == 1 and f"line {len(records)}: " in result.output, result.output
+
+
 # -- numbers ----------------------------------------------------------------------------------------------------------
 
 

@@ -1,4 +1,4 @@
-"""How options of algorithms are judged: each number within its bounds, and all that are not told at once."""
+"""How options of algorithms are judged: each number within its bounds, all that are not told at once; and together."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final, get_type_hints
 from nmes.errors import DocumentError
 from nmes.schemas.documents import did_you_mean
 
-__all__ = ["read_options", "within_bounds"]
+__all__ = ["read_options", "within_bounds", "within_memory"]
 
 _WORDS: Final[Mapping[type, str]] = {
     int: "a whole number, written without point or exponent",
@@ -60,3 +60,19 @@ def within_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) ->
     ]
     if problems:
         raise DocumentError(problems)
+
+
+def within_memory(option: str, numbers: int, most: int) -> None:
+    """Returns if what an algorithm would keep in memory is within bounds.
+
+    Args:
+        option: The option that is to be smaller where it is not.
+        numbers: How many numbers it would keep, for this brain and these options together.
+        most: How many it may.
+
+    Raises:
+        DocumentError: They are too many.
+    """
+    if numbers > most:
+        words = f"makes {numbers:,} numbers to be kept in memory with this brain, and {most:,} is the most"
+        raise DocumentError([(f"options.{option}", words)])

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nmes.backend import Array
+from nmes.errors import DocumentError
 from nmes.genome import Genome
 
 __all__ = ["BrainSpace"]
@@ -38,6 +39,13 @@ class BrainSpace:
         return Genome({**self._document, "brain": brain.document})
 
     def point(self, genome: Genome) -> list[float]:
-        """Returns where a genome of the space is, the other way around."""
-        point: list[float] = (genome.brain().to_vector() - self._origin).tolist()
+        """Returns where a genome of the space is, the other way around.
+
+        Raises:
+            DocumentError: It has no brain, or one with another number of parameters.
+        """
+        vector = genome.brain().to_vector()
+        if vector.shape != self._origin.shape:
+            raise DocumentError([("brain", f"must have {self.dimension:,} parameters, not {vector.size:,}")])
+        point: list[float] = (vector - self._origin).tolist()
         return point

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
+from typing import Final
 
 from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
-from nmes.evolution.algorithms.bounds import within_bounds
+from nmes.evolution.algorithms.bounds import within_bounds, within_memory
 from nmes.evolution.algorithms.covariance import CovarianceAdaptation, adaptable_brain, probe
 from nmes.evolution.algorithms.requirements import check_problem
 from nmes.evolution.archive import Archive, Elite
 
 __all__ = ["CmaMe"]
+
+_MOST_NUMBERS: Final = 10_000_000  # of points and covariances; each is an object of 32 bytes
 
 
 @dataclass(slots=True, eq=False)
@@ -41,7 +44,7 @@ class CmaMe(Algorithm):
         options: See `Options`.
 
     Raises:
-        DocumentError: The problem is another, or the brain has too many parameters.
+        DocumentError: The problem is another, or the brain has too many parameters, or too many for so many emitters.
         MissingPackage: `cma` is not installed.
     """
 
@@ -67,6 +70,8 @@ class CmaMe(Algorithm):
     def __init__(self, problem: Problem, options: Options) -> None:
         check_problem(problem, brain=True, measures=1)
         self._problem, self._options, self._space = problem, options, adaptable_brain(problem, instead="map-elites")
+        size = self._space.dimension
+        within_memory("emitters", options.emitters * size * (options.batch + 3 * size), _MOST_NUMBERS)
         self._archive, self._restarts = Archive(problem.measures), 0
         self._emitters = [self._begun(number, [0.0] * self._space.dimension) for number in range(options.emitters)]
         self._batch = self._emitters[0].strategy.population
@@ -99,6 +104,7 @@ class CmaMe(Algorithm):
     def _added(self, index: int, candidate: Candidate, score: Score) -> tuple[int, float]:
         if score.score is None:
             return 0, -inf
+        self._space.point(candidate.genome)  # of a log it may be none: that is to be told now, not at some restart
         gain = self._archive.add(Elite(index, candidate.genome, score.score), score.measures)
         return (2, score.score) if gain is None else (int(gain > 0.0), gain)
 

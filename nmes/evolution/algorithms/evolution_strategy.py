@@ -19,7 +19,7 @@ from nmes.backend import Array
 from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.best import Best
-from nmes.evolution.algorithms.bounds import within_bounds
+from nmes.evolution.algorithms.bounds import within_bounds, within_memory
 from nmes.evolution.algorithms.brain_space import BrainSpace
 from nmes.evolution.algorithms.requirements import check_problem
 
@@ -27,6 +27,7 @@ __all__ = ["EvolutionStrategy"]
 
 _FIRST, _SECOND, _SMALL = 0.9, 0.999, 1e-8  # of Adam: how slowly the two moments change, and what is added to a root
 _LARGEST: Final = 10_000
+_MOST_NUMBERS: Final = 50_000_000  # of directions; each has 8 bytes
 
 
 class EvolutionStrategy(Algorithm):
@@ -39,7 +40,7 @@ class EvolutionStrategy(Algorithm):
         options: See `Options`.
 
     Raises:
-        DocumentError: The problem is another.
+        DocumentError: The problem is another, or the brain has too many parameters for such a population.
     """
 
     @dataclass(frozen=True)
@@ -67,6 +68,7 @@ class EvolutionStrategy(Algorithm):
     def __init__(self, problem: Problem, options: Options) -> None:
         check_problem(problem, brain=True)
         self._problem, self._options, self._space = problem, options, BrainSpace(problem.starts[0])
+        within_memory("population", options.population // 2 * self._space.dimension, _MOST_NUMBERS)
         self._point, self._mean, self._square = np.zeros((3, self._space.dimension))
         self._generation = 0
         self._best = Best()
