@@ -155,11 +155,9 @@ class Learning:
         for name, array in arrays.items():
             if (state[name].shape, state[name].dtype) != (array.shape, array.dtype):
                 raise ValueError(f"{name} is of another shape")
-        try:
-            told = orjson.loads(state[_CHAMPION].tobytes())
-            self.champion = None if told is None else Champion(told[0], told[1], Genome(told[2]))
-        except (orjson.JSONDecodeError, DocumentError, TypeError, IndexError, KeyError) as error:
-            raise ValueError(f"its champion is none: {error}") from error
+            if not np.isfinite(state[name]).all():
+                raise ValueError(f"{name} has something that is no number")
+        self.champion = _champion(state[_CHAMPION].tobytes(), leg)
         for name, array in arrays.items():
             array[...] = state[name]
         self.leg = leg
@@ -167,6 +165,24 @@ class Learning:
     def close(self) -> None:
         """Ends the environments."""
         self._pupil.close()
+
+
+def _champion(text: bytes, leg: int) -> Champion | None:
+    """Reads the champion in the state after a leg.
+
+    Raises:
+        ValueError: It is none.
+    """
+    try:
+        told = orjson.loads(text)
+        match told:
+            case None:
+                return None
+            case [int(since), float(score), dict(document)] if 1 <= since <= leg:
+                return Champion(since, score, Genome(document))
+    except DocumentError as error:
+        raise ValueError(f"its champion is none: {error}") from error
+    raise ValueError("its champion is none")
 
 
 def _mean(values: Sequence[float]) -> float | None:

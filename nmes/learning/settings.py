@@ -122,12 +122,15 @@ class LearningSettings:
         """Reads the document of a run that is there, whether or not it could be run here.
 
         Raises:
-            DocumentError: It is no such document.
+            DocumentError: It is no such document, or of an algorithm that there is not.
         """
         given = plain(document)
         check(_LEARNING, given)
         require_documents(given)
-        return cls._of(given)
+        settings = cls._of(given)
+        if problems := list(settings._unknown()):
+            raise DocumentError(problems)
+        return settings
 
     @classmethod
     def _of(cls, document: Mapping[str, Any]) -> LearningSettings:
@@ -148,13 +151,17 @@ class LearningSettings:
             episodes=full.get("episodes", ""),
         )
 
-    def _problems(self) -> Iterator[tuple[str, str]]:
-        """Yields why it cannot be run."""
+    def _unknown(self) -> Iterator[tuple[str, str]]:
+        """Yields why it says of no algorithm what that learns from."""
         if self.algorithm not in ALGORITHMS:
             hint = did_you_mean(self.algorithm, ALGORITHMS) or f": there are {', '.join(ALGORITHMS)}"
             yield "algorithm", f"there is no algorithm {self.algorithm!r}{hint}"
         elif (self.algorithm == "clone") != bool(self.recordings):
             yield "recordings", "'clone' learns from recordings, and it alone"
+
+    def _problems(self) -> Iterator[tuple[str, str]]:
+        """Yields why it cannot be run."""
+        yield from self._unknown()
         if self.algorithm == "clone" and self.reward is not None:
             yield "reward", "'clone' is not rewarded: it does what the recordings show"
         if self.reward is not None:

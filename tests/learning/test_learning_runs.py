@@ -23,6 +23,7 @@ from nmes.errors import DocumentError, RunError
 from nmes.evaluation import Environments, Task, evaluate
 from nmes.evolution.run_log import RunLog, RunWriter
 from nmes.genome import Genome
+from nmes.learning.learners.networks import Network
 from nmes.learning.legs import Learning
 from nmes.learning.run import LearningRun
 from nmes.learning.run_verify import LearningVerdict, verify_learning
@@ -352,6 +353,73 @@ def test_a_folder_without_a_run_is_none_and_one_with_a_run_is_not_begun_in(copie
     with pytest.raises(RunError) as caught:
         begin(copied)
     assert caught.value.code == "run_exists"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"algorithm": "dqn"}, "there is no algorithm 'dqn'"),
+        ({"algorithm": "clone", "options": {}}, "'clone' learns from recordings, and it alone"),
+        ({"recordings": ["a.mcap"]}, "'clone' learns from recordings, and it alone"),
+    ],
+)
+def test_a_folder_of_no_algorithm_that_there_is_holds_no_run(changes: dict[str, Any], words: str, copied: Path) -> None:
+    document = orjson.loads((copied / "run.json").read_bytes())
+    (copied / "run.json").write_bytes(orjson.dumps({**document, **changes}))
+    with pytest.raises(RunError, match=words) as caught:
+        LearningRun.open(copied)
+    assert caught.value.code == "no_run"
+
+
+@pytest.mark.parametrize(
+    "champion",
+    [[1, "x", "genome"], [1, None, "genome"], [1, 2.0, []], ["1", 2.0, "genome"], [9, 2.0, "genome"], [1], "x", {}],
+)
+def test_a_state_whose_champion_is_none_is_damaged(champion: Any, copied: Path) -> None:
+    genome = orjson.loads((copied / "genome.json").read_bytes())
+    told = [genome if each == "genome" else each for each in champion] if isinstance(champion, list) else champion
+    path = copied / "states" / f"{LEGS:06d}.state"
+    state = {**read_state(path.read_bytes()), "champion": np.frombuffer(orjson.dumps(told), np.uint8)}
+    assert_damaged(copied, state)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_state_with_what_is_no_number_is_damaged(value: float, copied: Path) -> None:
+    path = copied / "states" / f"{LEGS:06d}.state"
+    state = {name: array.copy() for name, array in read_state(path.read_bytes()).items()}
+    state["parameters"][-1] = value
+    assert_damaged(copied, state)
+
+
+def test_a_state_whose_sums_are_no_numbers_ends_a_run_with_words(copied: Path) -> None:
+    path = copied / "states" / f"{LEGS - 1:06d}.state"
+    state = {name: array.copy() for name, array in read_state(path.read_bytes()).items()}
+    body = Genome.load("inchworm").body
+    network = Network((len(body.sensors), OPTIONS["units"], OPTIONS["units"], len(body.motors)))
+    *hidden, (weights, _) = network.layers(state["parameters"])
+    for _, biases in hidden:
+        biases[...] = 50.0  # every unit is at 1, and the sum of half of them beyond all numbers
+    weights[...] = [1.7e308, -1.7e308] * (OPTIONS["units"] // 2)
+    rewound(copied, state)
+    with pytest.raises(RunError, match=f"in leg {LEGS} learning came to numbers that are too large") as caught:
+        finish(LearningRun.open(copied))
+    assert caught.value.code == "not_finite"
+
+
+def assert_damaged(folder: Path, state: dict[str, Any]) -> None:
+    """Puts a state into a run from which nobody can go on."""
+    rewound(folder, state)
+    with pytest.raises(RunError, match="is not of this run") as caught:
+        finish(LearningRun.open(folder))
+    assert caught.value.code == "log_damaged"
+
+
+def rewound(folder: Path, state: dict[str, Any]) -> None:
+    """Takes the last leg of a run away, and has another state after the one before it, which the log has too."""
+    (folder / "states" / f"{LEGS - 1:06d}.state").write_bytes(write_state(state))
+    rewritten(folder, lambda number, content: content.update(state=state_digest(state)) if number == LEGS - 1 else None)
+    log = folder / "log.jsonl"
+    log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[: LEGS - 1]))
 
 
 @pytest.mark.parametrize(

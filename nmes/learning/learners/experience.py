@@ -68,6 +68,9 @@ class Collector:
             width: Columns of actions.
             choose: Returns actions (n, width) for observations (n, sensors).
             act: Returns actions as rows take them.
+
+        Raises:
+            FloatingPointError: An action is no number.
         """
         count, sensors = self._seen.shape
         observations, following = np.empty((2, steps, count, sensors))
@@ -78,7 +81,10 @@ class Collector:
         for step in range(steps):
             observations[step] = self._seen
             actions[step] = choose(self._seen)
-            seen, rewards[step], ended[step], truncated = self._rows.step(act(actions[step]))
+            doing = act(actions[step])
+            if not np.isfinite(doing).all():
+                raise FloatingPointError("what is to be done is no number")  # sums raise nothing
+            seen, rewards[step], ended[step], truncated = self._rows.step(doing)
             over[step] = ended[step] | truncated
             following[step] = np.where(over[step][:, None], self._rows.last_observations, seen)
             self._seen = seen.copy()
