@@ -171,7 +171,10 @@ class BackendNotFound(NmesError):
 
 
 class MissingPackage(NmesError):
-    """An optional package that is not installed; the message names the extra that brings it."""
+    """An optional package that is not installed; the message names the extra that brings it.
+
+    As `MACHINE_ERRORS` it says nothing of what was being computed.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__("missing_package", message)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import orjson
 
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import MissingPackage, NmesError, RecordingError
 from nmes.evaluation.match import MatchResult, admit_players, play_match
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Lost, Pool
@@ -66,6 +66,7 @@ def play_bouts(
 
     Raises:
         RecordingError: A recording cannot be written.
+        MissingPackage: A brain needs a package that is not installed.
     """
     done, show = 0, progress or _silent
     show(done, len(bouts))
@@ -93,5 +94,7 @@ def _play(bout: Bout) -> MatchResult | _Unrecorded:
         return play_match(task, genomes, brains, bout.seed, None if bout.record is None else Path(bout.record))
     except RecordingError as error:
         return _Unrecorded(error.code, error.message)
+    except MissingPackage:
+        raise
     except NmesError as error:
         return MatchResult(bout.seed, void_results(task, bout.seed, f"{error.code}: {error.message}"))

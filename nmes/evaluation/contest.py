@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import orjson
 
-from nmes.errors import MACHINE_ERRORS, NmesError, RecordingError
+from nmes.errors import MACHINE_ERRORS, MissingPackage, NmesError, RecordingError
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.judge import Result
 from nmes.evaluation.match import MatchResult, admit_players, play_match
@@ -105,6 +105,7 @@ def hold_contest(
 
     Raises:
         RecordingError: A recording cannot be written.
+        MissingPackage: A brain needs a package that is not installed.
     """
     begin, names = time.perf_counter(), (genome.name, genome.hash, task.name, task.hash)
     results: list[Result] = []
@@ -112,7 +113,7 @@ def hold_contest(
     for pairing in pairings(task, rivals.role, len(rivals.lineups), seeds):
         try:
             match = play_pairing(task, (genome, *rivals.lineups[pairing.lineup]), pairing, record)
-        except RecordingError:
+        except (MissingPackage, RecordingError):
             raise
         except NmesError as refusal:
             return Evaluation(*names, error=refusal.message, wall_seconds=time.perf_counter() - begin)
@@ -147,7 +148,7 @@ class Contest:
             lineups = tuple(tuple(map(Genome.parse, lineup)) for lineup in self.lineups)
             task = MatchTask(orjson.loads(self.task))
             return hold_contest(Genome.parse(self.genome), Rivals(self.role, lineups), task, self.seeds)
-        except MACHINE_ERRORS:
+        except (MissingPackage, *MACHINE_ERRORS):
             raise
         except Exception as error:  # a mistake of ours, which these genomes have found
             return self.failed(f"{type(error).__name__}: {error}")

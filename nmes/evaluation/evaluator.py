@@ -31,7 +31,7 @@ from nmes import protocol
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
-from nmes.errors import MACHINE_ERRORS, DocumentError, NmesError, RecordingError
+from nmes.errors import MACHINE_ERRORS, DocumentError, MissingPackage, NmesError, RecordingError
 from nmes.evaluation.episode import METADATA, Episode
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.judge import Result
@@ -85,6 +85,7 @@ def evaluate(
         DocumentError: The genome is none, or the task.
         TypeError: A seed is no whole number.
         RecordingError: A recording cannot be written, or would replace one that is signed (`signed`): nothing has run.
+        MissingPackage: The brain needs a package that is not installed, which says nothing of the creature.
     """
     genome, task = Genome.load(genome), Task.load(task)
     chosen = task.seeds if seeds is None else read_seeds(seeds)
@@ -108,7 +109,7 @@ def evaluate(
             if seed in places:
                 run = partial(recorded, brain, seed, places[seed])
             results.append(guarded(run, seed))
-    except RecordingError:
+    except (MissingPackage, RecordingError):
         raise
     except NmesError as refusal:
         error, results, recordings = refusal.message, [], []
@@ -249,7 +250,7 @@ class Job:
             return evaluate(genome, task, seeds=self.seeds, record=self.record)
         except RecordingError as error:
             return _Unrecorded(error.code, error.message)
-        except MACHINE_ERRORS:
+        except (MissingPackage, *MACHINE_ERRORS):
             raise
         except Exception as error:  # as above
             return self.failed(f"{type(error).__name__}: {error}")
@@ -333,6 +334,7 @@ class Evaluator:
             DocumentError: A genome is none, or the task; nothing has run.
             TypeError: A seed is no whole number.
             RecordingError: A recording cannot be written.
+            MissingPackage: A brain needs a package that is not installed.
         """
         asked, given = Task.load(task), None if seeds is None else read_seeds(seeds)
         document, folder = write_json(asked.document), None if record is None else os.fspath(record)
@@ -358,6 +360,7 @@ class Evaluator:
         Raises:
             RecordingError: A recording cannot be written, or would replace one that is signed (`signed`): nothing has
                 run.
+            MissingPackage: A brain needs a package that is not installed.
         """
         for place in (place for job in work for place in job.places().values()):
             require_unsigned(place)

@@ -13,7 +13,7 @@ Invariants:
 - Workers never see Ctrl-C. Whoever stops taking results ends them.
 - A function that raises is a mistake: its error comes out here, with the worker's traceback. What may go wrong with
   an item is for the function to return. But where the machine lacks something, the item is a `Lost` too: that says
-  nothing of it, and may pass.
+  nothing of it, and may pass. A package that is not installed will not come by itself: `MissingPackage` comes out.
 """
 
 from __future__ import annotations
@@ -94,6 +94,7 @@ class Pool(ABC):
 
         Raises:
             RuntimeError: A function raised; with its traceback.
+            MissingPackage: A function needs a package that is not installed.
         """
 
     @abstractmethod
@@ -114,6 +115,7 @@ class Pool(ABC):
 
         Raises:
             RuntimeError: The function raised; with the worker's traceback.
+            MissingPackage: It needs a package that is not installed.
         """
         waiting = iter(enumerate(items))
         try:
@@ -214,9 +216,7 @@ class Workers(Pool):
             worker.end()
         else:
             self._idle.append(worker)
-        if error:
-            raise RuntimeError(f"a worker failed:\n{error}")
-        return number, result
+        return number, _given_back(error, result)
 
     def stop(self) -> None:
         """As `Pool.stop`."""
@@ -306,6 +306,20 @@ def _called(function: Callable[[Any], Any], item: object) -> Any:
         return Lost(f"the process that worked on it came to an end: {type(error).__name__}: {error}")
 
 
+def _given_back(error: str, result: Any) -> Any:
+    """Returns the result that a worker gave.
+
+    Raises:
+        RuntimeError: The function raised, with this traceback.
+        MissingPackage: It is this.
+    """
+    if error:
+        raise RuntimeError(f"a worker failed:\n{error}")
+    if isinstance(result, MissingPackage):
+        raise result
+    return result
+
+
 def _work(pipe: Connection) -> None:
     while True:
         try:
@@ -314,6 +328,8 @@ def _work(pipe: Connection) -> None:
             return
         try:
             answer = "", _called(function, item)
+        except MissingPackage as missing:
+            answer = "", missing
         except Exception:
             answer = traceback.format_exc(), None
         try:
@@ -521,9 +537,7 @@ class Cluster(Pool):
             self._waiting.appendleft(given)
             return []
         self._idle.append(given.actor)
-        if error:
-            raise RuntimeError(f"a worker failed:\n{error}")
-        return [(given.number, result)]
+        return [(given.number, _given_back(error, result))]
 
     def stop(self) -> None:
         """As `Pool.stop`."""

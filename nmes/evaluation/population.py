@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
 from nmes.brain import Brain
-from nmes.errors import MACHINE_ERRORS, NmesError, WorldError
+from nmes.errors import MACHINE_ERRORS, MissingPackage, NmesError, WorldError
 from nmes.evaluation.cohort import Entry, run_cohort
 from nmes.evaluation.episode import Episode, Handover, brain_of
 from nmes.evaluation.judge import Result
@@ -152,6 +152,9 @@ def run_population(genomes: Sequence[Genome], task: Task, seeds: Sequence[int]) 
 
     Yields:
         The outcomes, as they are ready.
+
+    Raises:
+        MissingPackage: A brain needs a package that is not installed.
     """
     yield from _Population(genomes, task, seeds).run()
 
@@ -188,9 +191,15 @@ class _Population:
                 yield from self._run_together()
 
     def _runs(self, outcome: Outcome, genome: Genome) -> list[_Run]:
-        """Returns the episodes of a genome; none where it may not take part, or cannot."""
+        """Returns the episodes of a genome; none where it may not take part, or cannot.
+
+        Raises:
+            MissingPackage: Its brain needs a package that is not installed, which says nothing of it.
+        """
         try:
             brain = admit(genome, self._task)
+        except MissingPackage:
+            raise
         except NmesError as refusal:
             outcome.refusals = dict.fromkeys(self._seeds, refusal.message)
             return []
@@ -231,6 +240,8 @@ class _Population:
         """Returns the result of a call, or one that says how it failed; None where the creature is refused."""
         try:
             return guarded(call, run.seed)
+        except MissingPackage:
+            raise
         except NmesError as refusal:
             run.outcome.refusals[run.seed] = refusal.message
             return None

@@ -85,8 +85,11 @@ class SurveySettings:
         """Makes settings: of the atlas, where there are no tasks; of random creatures, where there are no genomes.
 
         Raises:
-            DocumentError: There are too many of something.
+            DocumentError: There are too many of something, or a brain is none for its body.
+            MissingPackage: A brain needs a package that is not installed.
         """
+        for genome in genomes:
+            genome.check_brain()
         rows, columns = [""], [task.name for task in tasks]
         if not tasks:
             rows = [f"gravity {gravity:g}" for gravity in GRAVITIES]
@@ -289,6 +292,7 @@ class Survey:
                 (`not_comparable`), the log is damaged (`log_damaged`), or the folder cannot be written
                 (`cannot_write`). What was done before is kept.
             MachineError: Workers are killed (`worker_killed`).
+            MissingPackage: A brain needs a package that is not installed.
             VariationError: There is no random creature that meets what a task requires.
         """
         if different := self.differences():

@@ -15,6 +15,7 @@ import orjson
 import pytest
 
 from creatures import snake
+from nmes.errors import MissingPackage
 from nmes.evaluation import Evaluation, Evaluator, Job, Task, Workers, evaluator
 from nmes.evaluation.parallel import Lost, _work, in_processes
 
@@ -37,6 +38,10 @@ def lack_over_three(number: int) -> tuple[int, int]:
     if number == 3:
         raise MemoryError("no room")
     return number, os.getpid()
+
+
+def lack_a_package(number: int) -> int:
+    raise MissingPackage(f"number {number} needs a package")
 
 
 def wait_or_raise(number: int) -> int:
@@ -91,6 +96,12 @@ def test_what_a_machine_lacks_loses_one_item_only(jobs: int) -> None:
         numbers = {place: outcome[0] for place, outcome in outcomes.items() if not isinstance(outcome, Lost)}
         assert numbers == {i: i for i in (0, 1, 2, 4, 5)}
         assert isinstance(dict(workers.run(lack_over_three, [3]))[0], Lost)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_package_that_is_missing_is_told_as_that(jobs: int) -> None:
+    with pytest.raises(MissingPackage, match="number 7 needs a package"):
+        list(in_processes(lack_a_package, [7], jobs))
 
 
 def test_a_worker_says_nothing_where_its_pipe_ends() -> None:

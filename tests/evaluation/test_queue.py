@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
 
 from creatures import snake
-from nmes.errors import MachineError
-from nmes.evaluation import Evaluation, Evaluator, Job, Task, population
+from duels import duel, push
+from modelled import modelled
+from nmes.errors import MachineError, MissingPackage
+from nmes.evaluation import Evaluation, Evaluator, Job, Task, evaluate, population
+from nmes.evaluation.bouts import Bout, play_bouts
+from nmes.evaluation.contest import Rivals
 from nmes.evaluation.parallel import Here, Lost, Workers
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.genome import Genome
@@ -140,3 +145,28 @@ def test_what_a_machine_lacks_once_is_no_fault_of_the_creature(
     with pytest.raises(MachineError, match=f"{type(error).__name__}.*2 times") as info:
         all_of(queue)
     assert info.value.code == "worker_killed"
+
+
+def test_a_package_that_is_missing_is_no_fault_of_the_creature(monkeypatch: pytest.MonkeyPatch) -> None:
+    genome = Genome(modelled())
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    queue = EvaluationQueue(TASK, (1,), Here())
+    queue.put(0, genome)
+    evaluator = Evaluator(1)
+    for evaluated in (queue.take, lambda: evaluate(genome, TASK), lambda: evaluator.evaluate(genome, TASK)):
+        with pytest.raises(MissingPackage, match=r"pip install 'nmes\[onnx\]'"):
+            evaluated()
+
+
+def test_a_package_that_is_missing_is_no_fault_of_those_in_a_match(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacking(_: Genome) -> None:
+        raise MissingPackage("a brain needs a package")
+
+    monkeypatch.setattr("nmes.evaluation.match.brain_of", lacking)
+    task, cart = duel(), Genome(push())
+    queue = EvaluationQueue(task, task.seeds, Here())
+    queue.put(0, cart, Rivals("red", ((cart,),)))
+    with pytest.raises(MissingPackage):
+        queue.take()
+    with pytest.raises(MissingPackage):
+        list(play_bouts(Here(), [Bout.of(task, {"red": cart, "blue": cart}, 1)]))

@@ -9,6 +9,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from multiprocessing import parent_process
@@ -26,7 +27,7 @@ from disks import full_disk
 from modelled import modelled
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import fingerprint
-from nmes.errors import MachineError
+from nmes.errors import MachineError, MissingPackage
 from nmes.evaluation import Workers, evaluate, parallel
 from nmes.evaluation.evaluator import Job, evaluate_portion
 from nmes.evaluation.parallel import Here
@@ -227,6 +228,20 @@ def test_what_a_model_rounds_otherwise_is_not_comparable(tmp_path: Path) -> None
     forge(folder, lambda records: records[3]["result"].update(energy=7.0))
     found = verify_survey(folder, Here(), None, nothing)
     assert found.verdict == "broken" and "ONNX" not in found.findings[1]
+
+
+def test_a_package_that_is_missing_is_not_written_down_as_a_fault_of_the_creature(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = Survey.create(tmp_path / "begun", SurveySettings.of([Genome(modelled())], [Task(FLAT)], 4, 5))
+    (file := tmp_path / "model.json").write_bytes(orjson.dumps(modelled()))
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(MissingPackage):
+        finish(begun)
+    assert not lines(begun.folder)
+    refused = run("survey", file, "-o", tmp_path / "survey")
+    assert refused.exit_code == 1 and "pip install 'nmes[onnx]'" in refused.output
+    assert not (tmp_path / "survey").exists()
 
 
 def test_a_best_world_that_comes_out_otherwise_is_only_comparable_where_it_was_scored(
