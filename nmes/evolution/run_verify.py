@@ -27,6 +27,7 @@ from nmes.variation.draw import Draw
 __all__ = ["RunVerdict", "verify_run"]
 
 _MOST: Final = 20  # findings that are kept
+_WINDOW: Final = 256  # candidates that are evaluated again at once: of other genomes nothing is kept in memory
 
 Progress = Callable[[str, int, int], None]
 Verdict = Literal["holds", "broken", "not_comparable"]
@@ -161,16 +162,15 @@ class _Verification:
         """Evaluates candidates; yields what comes out otherwise, and whether that may be for an ONNX brain."""
         run, expressions = self._run, self._run.settings.expressions()
         queue = EvaluationQueue(run.settings.task, run.settings.seeds, pool)
-        done = 0
-        entries = {}
-        for index in chosen:
-            entries[index] = run.entry(index)
-            queue.put(index, entries[index].genome, self._rivals[index])
+        given = done = 0
         while done < len(chosen):
+            for index in chosen[given : done + _WINDOW]:
+                queue.put(index, run.entry(index).genome, self._rivals[index])
+                given += 1
             for index, evaluation in queue.take():
                 done += 1
                 self._progress("evaluating again", done, len(chosen))
-                entry = entries.pop(index)
+                entry = run.entry(index)
                 again = told(index, entry.candidate, evaluation, run.settings, expressions)
                 rivals = self._rivals[index]
                 met = [] if rivals is None else [genome for lineup in rivals.lineups for genome in lineup]

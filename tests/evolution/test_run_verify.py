@@ -16,9 +16,16 @@ from click.testing import CliRunner, Result
 from modelled import modelled
 from nmes.cli import main
 from nmes.errors import RunError
+from nmes.evaluation import Evaluation
+from nmes.evaluation.contest import Rivals
+from nmes.evaluation.parallel import Here
+from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.rerun import record_candidate
 from nmes.evolution.run import Run
+from nmes.evolution.run_verify import verify_run
+from nmes.genome import Genome
 from runs import begin, finish, forge
+from vectors import vector_genome
 
 Records = list[dict[str, Any]]
 
@@ -262,6 +269,27 @@ def test_what_a_model_rounds_otherwise_is_not_comparable(tmp_path: Path) -> None
     assert error.value.code == "not_comparable"
     forge(folder, lambda records: records[3].update(operator="magic"))  # which no model has a part in
     assert verdict(folder, "--all")["verdict"] == "broken"
+
+
+def test_few_candidates_of_a_long_run_are_in_memory_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    under_way = [0]
+
+    class Counted(EvaluationQueue):
+        def put(self, number: int, genome: Genome, rivals: Rivals | None = None) -> None:
+            under_way.append(under_way[-1] + 1)
+            super().put(number, genome, rivals)
+
+        def take(self) -> list[tuple[int, Evaluation]]:
+            taken = super().take()
+            under_way.append(under_way[-1] - len(taken))
+            return taken
+
+    start = vector_genome([1.0] * 4).document
+    finish(begin(tmp_path / "run", algorithm="es", options={"population": 10}, starts=[start], budget=300))
+    monkeypatch.setattr("nmes.evolution.run_verify.EvaluationQueue", Counted)
+    verdict = verify_run(tmp_path / "run", Here(), None, lambda doing, done, total: None)
+    assert (verdict.verdict, verdict.evaluated) == ("holds", 300)
+    assert under_way[-1] == 0 and max(under_way) == 256
 
 
 def come_from_later(records: Records) -> None:
