@@ -176,11 +176,11 @@ class Run:
         return Rivals(self.records[index].group, lineups)
 
     def _opponent(self, index: int) -> Genome:
-        """Returns the genome of somebody's opponent: founders may be met before they are told."""
+        """Returns the genome of somebody's opponent: founders may be met before they are told, or beyond a budget."""
         if index < len(self):
             return self.genome(index)
         algorithm = self.settings.begin()
-        if index >= self.settings.budget or algorithm.needs(index):
+        if algorithm.needs(index):
             raise RunError("log_damaged", f"{self.folder}: nobody can have met candidate {index}, who is not told yet")
         return algorithm.ask(index).genome
 

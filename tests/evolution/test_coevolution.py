@@ -17,6 +17,7 @@ import orjson
 import pytest
 
 from coevolution_runs import DUEL_RUN, MOMENT, begin_duel
+from command_line import run as command
 from duels import push
 from nmes.errors import DocumentError, RunError
 from nmes.evaluation import MatchTask, Workers, play
@@ -217,6 +218,17 @@ def test_who_leads_is_the_champion_of_the_last_era_that_is_over(whole: Path) -> 
     assert run.figures() == {"eras": 3}
     eras = [index // 2 // ERA for index in run.elites()]
     assert eras == [2, 2, 1, 1, 0, 0]
+
+
+def test_founders_are_met_beyond_the_budget_too(tmp_path: Path) -> None:
+    run = finish(begin_duel(tmp_path / "run", budget=1))
+    assert opponents(run, 0) == [1, 3]
+    written = command("evolve", "best", run.folder, "-o", tmp_path / "best")
+    assert written.exit_code == 0, written.output
+    assert verdict(run.folder).verdict == "holds"
+    forge(run.folder, lambda records: records[0].update(opponents=[[1], [9]]))
+    with pytest.raises(RunError, match="nobody can have met candidate 9"):
+        Run.open(run.folder).rivals(0)
 
 
 # -- proof ------------------------------------------------------------------------------------------------------------
