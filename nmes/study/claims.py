@@ -92,7 +92,7 @@ def _equal(
     plan: Plan, results: Results, column: str | None, arms: Sequence[str], where: Mapping[str, object]
 ) -> Estimate:
     """Returns in which part of the runs a column, or every column, is there and the very same in two arms."""
-    columns = _shared(plan, arms) if column is None else [column]
+    columns = plan.study.shared_columns(arms) if column is None else [column]
     ours, theirs = (
         {(canonical_hash(run.cell), run.seed): row for run, row in _rows(plan, results, arm, where)} for arm in arms
     )
@@ -101,14 +101,6 @@ def _equal(
     ]
     part = alike.count(True) / len(alike)
     return Estimate(part, part, part, len(alike), len({seed for _, seed in ours}))
-
-
-def _shared(plan: Plan, arms: Sequence[str]) -> list[str]:
-    """Returns the columns of commands that all of some arms have, but for those that are measured."""
-    commands = [plan.study.arm_commands(arm) for arm in plan.study.document["arms"] if arm["name"] in arms]
-    measured = plan.study.document["measured"]
-    columns = {name: each for name, each in plan.study.document["columns"].items() if name not in measured}
-    return [name for name, source in columns.items() if all(source.partition(" ")[0] in each for each in commands)]
 
 
 def _rows(

@@ -11,7 +11,7 @@ import os
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from itertools import product
@@ -169,6 +169,14 @@ class Study:
         every: dict[str, str] = self.document["commands"]
         return {name: command for name, command in every.items() if name in arm.get("commands", every)}
 
+    def shared_columns(self, arms: Sequence[str]) -> list[str]:
+        """Returns the columns of commands that all of some arms have, but for those that are measured."""
+        commands = [self.arm_commands(arm) for arm in self.document["arms"] if arm["name"] in arms]
+        columns = {
+            name: each for name, each in self.document["columns"].items() if name not in self.document["measured"]
+        }
+        return [name for name, source in columns.items() if all(source.partition(" ")[0] in each for each in commands)]
+
     def factors(self, budget: str) -> dict[str, list[Setting]]:
         """Returns the values of each factor that a budget has."""
         fewer = self.document["budgets"][budget].get("factors", {})
@@ -273,6 +281,8 @@ class Study:
                 yield from _unknown(f"{path}/column", column, document["columns"], "column")
             elif value["statistic"] != "equal":
                 yield f"{path}/column", f"{value['statistic']} is of a column"
+            elif not self.shared_columns([value["arm"], value.get("over", "")]):
+                yield f"{path}/column", "both arms have no column that is not measured: there is nothing to be equal"
             if (value["statistic"] in COMPARISONS) != ("over" in value):
                 yield f"{path}/over", f"{value['statistic']} is of {'two arms' if 'over' not in value else 'one arm'}"
             source = document["columns"].get(column, "").partition(" ")[0]

@@ -558,6 +558,14 @@ def test_what_is_wrong_with_a_study_is_told_with_its_place(old: str, new: str, w
     assert result.exit_code == 1 and words in result.output, result.output
 
 
+def test_arms_that_share_nothing_are_not_equal(tmp_path: Path) -> None:
+    folder = make_study(tmp_path / "wrong")
+    edit(folder / "study.toml", 'statistic = "equal", column = "hash"', 'statistic = "equal"')
+    edit(folder / "study.toml", 'title = "A small study"', 'title = "A small study"\nmeasured = ["score", "hash"]')
+    result = run("study", "run", folder)
+    assert result.exit_code == 1 and "values/alike/column: both arms have no column that is not" in result.output
+
+
 def test_what_is_not_there_is_told_with_what_to_do(tmp_path: Path) -> None:
     result = run("study", "report", tmp_path / "none")
     assert result.exit_code == 1 and "there is no study in " in result.output
