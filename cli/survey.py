@@ -149,6 +149,10 @@ def resume(folder: Path, jobs: int | None, ray: str | None, as_json: bool) -> No
 
     check_pool(jobs, ray)
     found = Survey.open(folder)
+    if found.finished:
+        click.echo("the survey is finished", err=True)
+        _print(found, as_json)
+        return
     _go_on(lambda: found, jobs, ray, as_json)
 
 
@@ -184,11 +188,8 @@ def show(folder: Path, output: Path | None, as_json: bool) -> None:
         unit = units.pop() if len(units) == 1 else ""
         with whole_folder(output) as drawn:
             write_picture(survey_map(_by_task(survey), settings.rows, settings.columns, unit), drawn)
-    if as_json:
-        print_json(_summary(survey))
-        return
-    _tell(survey)
-    if output is not None:
+    _print(survey, as_json)
+    if output is not None and not as_json:
         click.echo(visible(f"wrote {output / 'map.svg'} and {output / 'map.png'}"))
 
 
@@ -358,10 +359,7 @@ def _go_on(find: Callable[[], Survey], jobs: int | None, ray: str | None, as_jso
     if stopped:
         click.echo(f"stopped: {len(survey):,} of {survey.settings.worlds:,} worlds done", err=True)
         click.echo(visible(f"go on with: nmes survey resume {shlex.quote(str(survey.folder))}"), err=True)
-    if as_json:
-        print_json(_summary(survey))
-    else:
-        _tell(survey)
+    _print(survey, as_json)
     sys.exit(1 if stopped else 0)
 
 
@@ -406,8 +404,15 @@ def _summary(survey: Survey) -> dict[str, Any]:
     }
 
 
-def _tell(survey: Survey) -> None:
+def _print(survey: Survey, as_json: bool) -> None:
     """Prints what a survey has come to."""
+    if as_json:
+        print_json(_summary(survey))
+    else:
+        _tell(survey)
+
+
+def _tell(survey: Survey) -> None:
     told, settings = _summary(survey), survey.settings
     click.echo(
         visible(f"{survey.folder}: {told['worlds']:,} of {told['of']:,} worlds, {told['scored']:,} with a score")

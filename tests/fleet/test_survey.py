@@ -372,6 +372,19 @@ def test_folders_that_are_none_of_a_survey_are_refused(whole: Survey, tmp_path: 
     assert refused.exit_code != 0 and "was begun where other numbers come out" in refused.output
 
 
+def test_a_survey_that_is_finished_stays_as_it_is(whole: Survey, tmp_path: Path) -> None:
+    folder = tmp_path / "finished"
+    shutil.copytree(whole.folder, folder)
+    document = orjson.loads((folder / "run.json").read_bytes())
+    document["fingerprint"]["probe"] = "of another machine"
+    (folder / "run.json").write_bytes(orjson.dumps(document))
+    before = {path: path.stat().st_mtime_ns for path in [folder, *folder.iterdir()]}
+    resumed = run("survey", "resume", folder)
+    assert resumed.exit_code == 0 and "the survey is finished" in resumed.output and whole.digest in resumed.output
+    assert json.loads(run("survey", "resume", folder, "--json").stdout)["digest"] == whole.digest
+    assert {path: path.stat().st_mtime_ns for path in [folder, *folder.iterdir()]} == before
+
+
 def test_a_disk_that_is_full_loses_nothing(whole: Survey, tmp_path: Path) -> None:
     folder = tmp_path / "full"
     Survey.create(folder, settings())
