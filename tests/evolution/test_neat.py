@@ -246,6 +246,15 @@ def test_offspring_are_shared_by_the_mean_of_a_species_and_none_are_for_those_wi
     assert divided([loss], 10, 20, 15) == [(loss, 10)]
 
 
+def test_the_species_of_the_best_network_has_offspring_however_few_there_are() -> None:
+    uneven = Species(0, (individual(0, 0.0, 5.0), individual(1, 0.0, -90.0), individual(2, 0.0, -100.0)), 5.0, 20)
+    others = [Species(number, (individual(number, 9.0 * number, 4.0),), 4.0, 20) for number in (3, 4, 5)]
+    shares = {each.name: share for each, share in divided([uneven, *others], 3, 20, 15)}
+    assert shares[0] == 1 and sum(shares.values()) == 3
+    huge = [Species(number, (individual(number, 9.0 * number, 1.7e308),), 1.7e308, 20) for number in (0, 1)]
+    assert divided(huge, 4, 20, 15) == [(huge[0], 2), (huge[1], 2)]
+
+
 def test_it_takes_one_genome_with_a_motor_to_begin_with() -> None:
     task, walker = Task.load("walk"), Genome.load("walker")
     statue = {name: value for name, value in walker.document.items() if name in ("format", "name")}

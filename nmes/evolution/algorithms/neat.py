@@ -1,9 +1,10 @@
 """NEAT: brains that begin small and grow nodes and links, in species, on a body that stays as it is.
 
 After K. O. Stanley and R. Miikkulainen, "Evolving Neural Networks through Augmenting Topologies", Evolutionary
-Computation 10 (2002), with its parameters. The body is the start genome's: where bodies change too, `ga` and `afpo`
-change topologies among all else, and distances between networks of other bodies would mean little. Champions of species
-are kept without being evaluated again, since their scores would be the same.
+Computation 10 (2002), with its parameters; docs/evolution.md says what is otherwise. The body is the start genome's:
+where bodies change too, `ga` and `afpo` change topologies among all else, and distances between networks of other
+bodies would mean little. Champions of species are kept without being evaluated again, since their scores would be the
+same.
 """
 
 from __future__ import annotations

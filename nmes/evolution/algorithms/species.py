@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 from nmes.backend.rotation import total
 from nmes.evolution.algorithms.neat_networks import Network, distance
@@ -85,7 +86,7 @@ def divided(species: Sequence[Species], count: int, generation: int, patience: i
 
     Args:
         species: All, at least one.
-        count: How many offspring there are.
+        count: How many offspring there are, at least one.
         generation: The generation's number.
         patience: For how many generations a species may fail to become better, and still have offspring; the one
             with the best of all always has.
@@ -99,9 +100,14 @@ def divided(species: Sequence[Species], count: int, generation: int, patience: i
     lowest = min(0.0, min(each.members[-1].score for each in heirs))
     means = [total(member.score - lowest for member in each.members) / len(each.members) for each in heirs]
     whole = total(means)
-    exact = [count * mean / whole if whole > 0.0 else count / len(heirs) for mean in means]
+    known = 0.0 < count * whole < inf  # the sum of huge scores is no number
+    exact = [count * mean / whole if known else count / len(heirs) for mean in means]
     shares = [int(share) for share in exact]
     order = sorted(range(len(heirs)), key=lambda i: shares[i] - exact[i])  # the largest remainders first
     for i in order[: count - int(total(shares))]:
         shares[i] += 1
+    best = heirs.index(leader)
+    if not shares[best]:  # of few offspring the part of the best may be less than one: it would be lost
+        shares[max(range(len(heirs)), key=shares.__getitem__)] -= 1
+        shares[best] = 1
     return [(each, share) for each, share in zip(heirs, shares, strict=True) if share]
