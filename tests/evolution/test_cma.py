@@ -7,6 +7,7 @@ import pickle
 import random
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from nmes.errors import DocumentError
-from nmes.evolution.algorithm import Algorithm, Measure, Problem, Score
+from nmes.evolution.algorithm import Algorithm, Candidate, Measure, Problem, Score
 from nmes.evolution.algorithms import algorithm_options, load_algorithm
 from nmes.genome import Genome
 from vectors import WALK, evaluations, feed, rosenbrock, sphere, vector_genome, vector_of, vector_problem
@@ -94,6 +95,21 @@ def test_a_search_that_has_converged_begins_anew_at_the_best() -> None:
     assert best < 1e-5
     spread = [np.abs(vector_of(algorithm.ask(index).genome)).max() for index in range(8)]
     assert 0.02 < max(spread) < 0.5
+
+
+def test_in_co_evolution_scores_of_long_ago_do_not_say_where_a_search_begins_anew() -> None:
+    algorithm, told = cma(replace(vector_problem(TEN, 2), role="red"), population=8), 0
+
+    def judge(candidate: Candidate) -> Score:
+        nonlocal told
+        told += 1
+        return Score(1000.0 * (told <= 8) - sphere(vector_of(candidate.genome)))  # the first opponents were weak
+
+    for _ in feed(algorithm, judge):
+        if algorithm.figures()["restarts"] == 1:
+            break
+    spread = [np.abs(vector_of(algorithm.ask(told + index).genome)).max() for index in range(8)]
+    assert max(spread) < 0.5
 
 
 def test_candidates_without_a_score_count_as_the_worst() -> None:

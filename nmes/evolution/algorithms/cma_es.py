@@ -19,7 +19,8 @@ class CmaEs(Algorithm):
     """Generations of brains from a normal distribution that adapts its mean, step size and covariance.
 
     N. Hansen and A. Ostermeier, "Completely Derandomized Self-Adaptation in Evolution Strategies" (Evolutionary
-    Computation 9, 2001). Where a distribution has converged, another begins at the best brain so far.
+    Computation 9, 2001). Where a distribution has converged, another begins at the best brain so far; in co-evolution
+    at the best of the last generation, since earlier scores are of other opponents.
 
     Args:
         problem: What the run is about: one start genome, with a brain.
@@ -86,6 +87,8 @@ class CmaEs(Algorithm):
                 self._begin(self._top[1])
             else:
                 self._sample()
+            if self._problem.role:
+                self._top = None
 
     def elites(self) -> Sequence[int]:
         """Returns the best of all that were told."""
