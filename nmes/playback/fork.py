@@ -54,6 +54,8 @@ def fork(
     world.journal = recorder = Recorder(path, world, about=about, **options)
     try:
         restore_into(world, recording, frame)
+        recorder.flush()
+        recorder.commit()
     except BaseException:
         with suppress(RecordingError):
             recorder.close()

@@ -123,6 +123,8 @@ class Recorder:
             self._head = next_head(b"", b"".join(begin))
             if past is not None:
                 self.keyframe(past)
+                self.flush()  # a file that is there has its past: whoever goes on from it begins nowhere else
+                self.commit()
         except RecordingError:
             self._writer.close()
             self.path.unlink()  # nothing of the history is in it yet

@@ -1,7 +1,8 @@
 """The worlds that a folder of recordings keeps: which there are, and with which file each goes on.
 
 It hides how the files of a host are called, and how worlds that were closed for good are told from others: their last
-recordings are listed in a file beside them. Nothing of what happened is read, only how each recording begins.
+recordings are listed in a file beside them. Of what happened nothing is read but how each recording begins, and of one
+that goes on from another whether it came as far as that.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from nmes.errors import NmesError
 from nmes.recording import Recording
+from nmes.recording.records import PARENT
 from nmes.schemas.files import read_regular
 
 __all__ = ["CLOSED", "about_maker", "kept_worlds", "maker_of", "new_recording_path", "note_closed"]
@@ -40,8 +42,8 @@ def _stem(world: str) -> str:
 def kept_worlds(folder: Path) -> dict[str, Recording]:
     """Finds the worlds of a folder that were not closed, by name, each with the recording from whose end it goes on.
 
-    Files that are called otherwise than a host calls them are not looked at, and of those that are no recordings, as a
-    full disk leaves them, the log tells.
+    Files that are called otherwise than a host calls them are not looked at. The log tells of those that are no
+    recordings, as a full disk leaves them, and of those with which a host that was killed had only begun to go on.
 
     Raises:
         OSError: The folder cannot be read.
@@ -64,11 +66,20 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
             name = recording.config["name"]
             if path.name in closed and name not in found:
                 ended.add(name)
-            if name not in ended:
-                found.setdefault(name, recording)
+            if name not in ended and name not in found:
+                if not _has_its_past(recording):
+                    logger.warning("%s is left where it is: it ends before the frame from which it was to go on", path)
+                    continue
+                found[name] = recording
             if alone:
                 break
     return dict(sorted(found.items()))
+
+
+def _has_its_past(recording: Recording) -> bool:
+    """Whether a recording that goes on from another came to the frame of that from which it does."""
+    frame = int(recording.metadata.get(PARENT, {}).get("frame", 0))
+    return recording.start().frame >= frame or recording.last_frame >= frame  # the second is read to its end
 
 
 def _lines(path: Path) -> list[str]:

@@ -95,6 +95,22 @@ def test_a_fork_with_the_same_inputs_has_the_same_digests(tmp_path: Path, backen
 
 
 @BACKENDS
+@pytest.mark.parametrize("interval", [0, 60])
+def test_a_fork_has_its_past_in_the_file_before_anything_happens_in_it(
+    tmp_path: Path, backend: str, interval: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", synced.append)
+    recording = parent(tmp_path, backend)
+    world = World(recording.config)
+    recorder = fork(recording, world, tmp_path / "x.mcap", flush_interval=interval)
+    restored = world_at(Recording(recorder.path))  # as a kill would leave the file
+    assert (restored.ticks, restored.digest()) == (recording.last_frame, world.digest())
+    assert bool(synced) == (interval == 0)
+    recorder.close()
+
+
+@BACKENDS
 def test_a_fork_that_fails_leaves_no_file(tmp_path: Path, backend: str) -> None:
     recording = parent(tmp_path, backend)
     with pytest.raises(RecordingError, match="no frame"):

@@ -13,10 +13,12 @@ from click.testing import CliRunner
 from fleets import PLAIN, Fleet, kill, settle
 from nmes.cli import main
 from nmes.errors import CommandFailed
-from nmes.recording import Recording
+from nmes.playback.fork import fork
+from nmes.recording import Recorder, Recording
 from nmes.server.kept_worlds import CLOSED, kept_worlds
 from nmes.world import World
 from processes import process, ready
+from recordings import record
 from servers import PASSWORD, PATIENCE
 
 DURABLE = ("--flush-interval", "0")
@@ -84,6 +86,39 @@ def test_all_worlds_of_a_host_that_was_killed_go_on_where_they_ended(workers: tu
     for twin in twins:
         assert host.digests(twin.name) == twin.digests
     assert len(red.digests) == 9 and len(sorted(tmp_path.glob("red-*.mcap"))) == 3
+
+
+def test_a_world_whose_host_is_killed_while_it_goes_on_from_a_recording_ends_where_that_ended(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = {"backend": "pymunk", "mode": "lockstep", "name": "red"}
+    whole = record(tmp_path / "red-20260101T000000.000000Z.mcap", lambda world, client: world.tick(), config)
+    recording, world = Recording(whole), World(config)
+    about = {"nmes.parent": recording.lineage(recording.last_frame)}
+    begun = Recorder(tmp_path / "red-20260101T000001.000000Z.mcap", world, about=about)
+    found = kept_worlds(tmp_path)
+    assert [(name, kept.path) for name, kept in found.items()] == [("red", whole)]
+    assert "000001.000000Z.mcap is left where it is: it ends before the frame" in caplog.text
+    gone_on = fork(recording, world, tmp_path / "red-20260101T000002.000000Z.mcap")
+    assert kept_worlds(tmp_path)["red"].path == gone_on.path
+    for recorder in (begun, gone_on):
+        recorder.close()
+
+
+@ALONE_AND_SHARED
+def test_a_world_that_only_just_goes_on_when_its_host_is_killed_loses_nothing(
+    workers: tuple[str, ...], tmp_path: Path
+) -> None:
+    red = Twin("red")
+    with serving(tmp_path, *workers, "--worlds", "red") as host:
+        red.drive(host, 3)
+        host.stop()
+    for _ in range(2):
+        with serving(tmp_path, *workers, "--resume", str(tmp_path), "--flush-interval", "60") as host:
+            with host.client("red") as client:
+                assert client.get_world_info()["frame"] == 3
+            end(host)
+    assert len(sorted(tmp_path.glob("red-*.mcap"))) == 3
 
 
 @ALONE_AND_SHARED
