@@ -118,11 +118,12 @@ class Visitor(Connection):
             return super().eof_received()
         if self._far is not None:
             self._far.write_eof()
-        return True
+        return self._transport.can_write_eof()  # over TLS the connection ends all the same, and asyncio warns of True
 
     def carried(self, data: bytes) -> None:
         """Sends the client what the worker says."""
         self._host.sent += len(data)
+        self._output.written += len(data)  # by which it is seen that the client reads
         if not self._transport.is_closing():
             self._transport.write(data)
 

@@ -8,12 +8,14 @@ import os
 import random
 import signal
 import socket
+import ssl
 import sys
 import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
+from contextlib import ExitStack, asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +30,14 @@ from nmes.cli._serve_worker import command_of_worker
 from nmes.errors import CommandFailed, Disconnected, MachineError
 from nmes.fleet.supervisor import Supervisor, shares_of_guesses
 from nmes.playback import replay
-from nmes.protocol import DELIMITER
+from nmes.protocol import DELIMITER, Limits
 from nmes.recording import Recording
 from nmes.server.door import Guesses
 from nmes.server.keys import Keys
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, types
+
+Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 BALLISTIC = {"backend": "ballistic", "mode": "lockstep"}
 DURABLE = ("--flush-interval", "0")
@@ -533,6 +537,73 @@ def test_bytes_are_carried_where_there_is_tls_and_clients_are_told_all_the_same(
             client.reconnect()
             assert client.get_world_info()["counts"]["cubes"] == 1000
         host.stop()
+
+
+@asynccontextmanager
+async def over_tls(folder: Path) -> AsyncIterator[tuple[Supervisor, Callable[[], Awaitable[Streams]]]]:
+    """Runs a host of one worker; yields it, and what opens connections to it whose clients have not said anything."""
+    authority, identity = trustme.CA(), ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    authority.issue_cert("127.0.0.1").configure_cert(identity)
+    trust = ssl.create_default_context()
+    authority.configure_trust(trust)
+    options: dict[str, Any] = {"record_to": folder, "address": "127.0.0.1", "tls": identity}
+    async with Supervisor(Keys(PASSWORD, {}, {}), command_of_worker("text", 10), **options) as host:
+        host.offer({"name": "red", **BALLISTIC})
+        host.limits = Limits(pending=1 << 20)
+        await host.start(1)
+        _, port = await host.listen("127.0.0.1", 0)
+        yield host, partial(asyncio.open_connection, "127.0.0.1", port, ssl=trust)
+
+
+async def ask(streams: Streams, *messages: Mapping[str, Any]) -> list[Any]:
+    """Says messages in one write, and returns as many."""
+    reader, writer = streams
+    writer.write(b"".join(json.dumps(message).encode() + DELIMITER for message in messages))
+    return [json.loads((await reader.readuntil(DELIMITER)).removesuffix(DELIMITER)) for _ in messages]
+
+
+async def test_who_reads_slowly_over_tls_is_not_cut_off_but_who_stops_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    looks, now = 0, time.monotonic()
+
+    def clock() -> float:
+        nonlocal looks
+        looks += 1
+        return now
+
+    async with over_tls(tmp_path) as (host, connect):
+        reader, writer = streams = await connect()
+        spawns = [{"type": "spawn_cube", "cube_name": f"c{number}"} for number in range(300)]
+        await ask(streams, {"type": "auth", "password": PASSWORD}, {"type": "batch", "commands": spawns})
+        (visitor,) = host.workers.running[0].visitors.values()
+        writer.write(1500 * (b'{"type":"get_world_state"}' + DELIMITER))
+        with monkeypatch.context() as patched:
+            patched.setattr("nmes.server.reception.monotonic", clock)
+            for rest in (*[0.6] * 6, 1.2):  # of the time for which one may read nothing
+                async with asyncio.timeout(PATIENCE):
+                    if rest < 1:
+                        await reader.readexactly(2 << 20)
+                    while not visitor.draining:
+                        await asyncio.sleep(0.01)
+                    now += rest * host.limits.stall_timeout
+                    seen = looks
+                    while looks == seen:
+                        await asyncio.sleep(0.01)
+                assert (rest > 1) == ("is cut off" in caplog.text)
+        writer.transport.abort()
+
+
+async def test_who_leaves_over_tls_leaves_nothing_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async with over_tls(tmp_path) as (host, connect):
+        streams = await connect()
+        await ask(streams, {"type": "auth", "password": PASSWORD})
+        streams[1].close()
+        await streams[1].wait_closed()
+        async with asyncio.timeout(PATIENCE):
+            while host.connections:
+                await asyncio.sleep(0.01)
+    assert caplog.text == ""
 
 
 # -- again and again -------------------------------------------------------------------------------------------------
