@@ -59,6 +59,7 @@ class Retention:
             writing: The recordings that are being written.
         """
         files, held = self._look()
+        spared = {path.resolve() for path in writing}  # whoever writes them may call the folder otherwise
         total, freed = sum(file.size for file in files), 0
         removed: list[Path] = []
         for file in files:
@@ -66,7 +67,7 @@ class Retention:
             if not (old or self._exceeds(total - freed)):
                 continue
             path = self._folder / file.name
-            if path in writing or file.name in held or not _finished(path, file, now):
+            if path.resolve() in spared or file.name in held or not _finished(path, file, now):
                 continue
             try:
                 path.unlink()

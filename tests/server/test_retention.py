@@ -84,6 +84,16 @@ def test_what_is_signed_marked_or_being_written_stays(tmp_path: Path, caplog: py
     assert retention.sweep(NOW, ()) == [writing]
 
 
+def test_what_is_being_written_stays_however_its_folder_is_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writing = [record(tmp_path, name, 500) for name in ("a", "b")]
+    (tmp_path / "link").symlink_to(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for folder, others in ((Path("."), tmp_path), (tmp_path, Path("link")), (Path("link"), Path())):
+        assert Retention(folder, 1, 0).sweep(NOW, {others / path.name for path in writing}) == []
+
+
 def test_a_folder_that_is_not_there_yet_is_no_failure(tmp_path: Path) -> None:
     assert Retention(tmp_path / "no", 1, 1).sweep(NOW, ()) == []
 
