@@ -311,7 +311,7 @@ class Recorder:
         with self._lock:
             if self._error is None:
                 try:
-                    if not self._writer.rests:
+                    if not (self._writer.rests and self.settled):  # since it woke, there may be notes
                         self._write_chunk()
                         self._seal()
                         if self._durable:

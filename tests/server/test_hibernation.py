@@ -349,6 +349,22 @@ def test_whenever_a_world_sleeps_it_is_the_same_world(
     other.close()
 
 
+def test_what_happens_after_a_world_wakes_is_recorded_however_soon_it_is_closed(tmp_path: Path) -> None:
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    world.journal = recorder = Recorder(tmp_path / "a.mcap", world, flush_interval=60)
+    act(world, random.Random(1))
+    world.hibernate()
+    recorder.rest()
+    world.wake()
+    client = world.join()
+    world.execute(client, {"type": "step", "ticks": 3})
+    world.journal = None
+    recorder.close()
+    recording = Recording(recorder.path)
+    assert recording.complete and recording.last_frame == world.ticks
+    world.close()
+
+
 def test_only_an_empty_world_that_can_be_saved_hibernates() -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"})
     client = world.join()
