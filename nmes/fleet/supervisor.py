@@ -152,7 +152,7 @@ class Supervisor(Reception):
 
     async def close(self) -> None:
         """Stops listening, has the workers close their worlds and end, and hangs up."""
-        self._closing = True
+        self._closing = self.draining = True
         await self._stop_listening()
         for task in self._tasks:
             task.cancel()

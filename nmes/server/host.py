@@ -394,6 +394,7 @@ class Host(Reception):
 
     async def close(self) -> None:
         """Stops listening, closes the worlds and their recordings, tells the clients, and hangs up."""
+        self.draining = True  # else those who are at the door could have worlds opened that nobody closes
         await self._stop_listening()
         for task in self._tasks:
             task.cancel()

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from nmes import Client
 from nmes.errors import Disconnected
+from nmes.fleet.supervisor import Supervisor
+from nmes.fleet.worker_processes import WorkerProcesses
 from nmes.playback import replay, world_at
+from nmes.protocol import DELIMITER
 from nmes.recording import Recording
+from nmes.server import Host
+from nmes.server.hosted_world import HostedWorld
+from nmes.server.keys import Keys
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, types
 
@@ -66,6 +77,42 @@ def test_sigterm_under_load_completes_recordings(
     assert all(recording.complete for recording in recordings)
     smallest = min(recordings, key=lambda recording: recording.size)
     assert replay(smallest).verdict == "reproduced"
+
+
+@pytest.mark.parametrize("asks", [{"world": "blue"}, {"create": {"world": "green"}}], ids=["enter", "create"])
+@pytest.mark.parametrize("shared", [False, True], ids=["one process", "workers"])
+async def test_a_host_that_closes_opens_no_world_for_who_is_at_the_door(
+    asks: Mapping[str, Any], shared: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closing = WorkerProcesses if shared else HostedWorld
+    close, held = closing.close, asyncio.Event()
+
+    async def hold(self: Any) -> Any:
+        await held.wait()
+        return await close(self)
+
+    monkeypatch.setattr(closing, "close", hold)
+    host: Host | Supervisor = Host(PASSWORD, record_to=tmp_path)
+    if shared:
+        host = Supervisor(Keys(PASSWORD, {}, {}), ["no program"], record_to=tmp_path, address="127.0.0.1")
+    for name in ("red", "blue"):
+        host.offer({"backend": "ballistic", "name": name})
+    if isinstance(host, Host):
+        await host.open("red")
+    _, port = await host.listen("127.0.0.1", 0)
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    async with asyncio.timeout(PATIENCE):
+        while not host.connections:
+            await asyncio.sleep(0.01)
+        ending = asyncio.create_task(host.close())
+        await asyncio.sleep(0)
+        writer.write(json.dumps({"type": "auth", "password": PASSWORD, **asks}).encode() + DELIMITER)
+        answer = json.loads((await reader.readuntil(DELIMITER)).removesuffix(DELIMITER))
+        held.set()
+        await ending
+    writer.close()
+    assert answer["code"] == "host_draining"
+    assert [path.name.partition("-")[0] for path in tmp_path.iterdir()] == ([] if shared else ["red"])
 
 
 def test_sigterm_ends_a_long_step(tmp_path: Path) -> None:
