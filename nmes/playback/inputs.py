@@ -163,7 +163,8 @@ def _join(world: World, record: Record) -> None:
 def advance(world: World, recording: Recording, records: Iterable[Record], frame: int) -> None:
     """Applies recorded inputs to a world until a frame is over: the next thing to come is a tick, or nothing.
 
-    Of a command that ticks beyond it, only that much is executed.
+    Of a command that ticks beyond it, only that much is executed. A fault counts as such a tick, unless the world was
+    reset after it: then all that came from there on belongs to the frame.
 
     Args:
         world: The world, at the place where the records begin.
@@ -178,11 +179,39 @@ def advance(world: World, recording: Recording, records: Iterable[Record], frame
     for recorded in recorded_inputs(records):
         ticks = frame - world.ticks
         count = len(recorded.digests)
-        last = count > ticks or (recorded.faults and count == ticks)
-        if not _advance_by(world, recorded, ticks, last):
+        last = count > ticks or (recorded.faults and count == ticks and not _is_lifted(recording, recorded, frame))
+        if not _advance_by(world, recorded, ticks, last) or world.ticks > frame:
             raise departure(recording, f"frame {world.ticks} does not come out as recorded; see nmes replay")
         if last:
             return
+
+
+def _is_lifted(recording: Recording, faulty: RecordedInput, frame: int) -> bool:
+    """Whether a reset lifts the fault of an input: in a stopped world nothing else does, and nothing ticks before.
+
+    It is looked for in a pass of its own, for a stopped world may be asked things for days.
+    """
+    records = recording.records(recording.start(frame))
+    since = (record for record in records if record.sequence >= faulty.record.sequence)
+    return any(_ends_with_a_reset(recorded) for recorded in recorded_inputs(since))
+
+
+def _ends_with_a_reset(recorded: RecordedInput) -> bool:
+    """Whether a command resets the world, and nothing of it stops the world after that."""
+    command = protocol.parse(recorded.record.data).command if recorded.record.kind is Kind.COMMAND else None
+    if command is None or recorded.reply is None:
+        return False
+    if command["type"] == "batch":
+        outcomes = zip(command["commands"], _results(recorded.reply), strict=False)
+    else:
+        outcomes = zip([command], [_content(recorded.reply)], strict=True)
+    reset = False
+    for part, result in outcomes:
+        if result.get("type") == "error":
+            reset = reset and result.get("code") not in ("world_faulted", "internal")
+        else:
+            reset = reset or part["type"] == "reset"
+    return reset
 
 
 def _advance_by(world: World, recorded: RecordedInput, ticks: int, last: bool) -> bool:
@@ -220,8 +249,7 @@ def _shortened(recorded: RecordedInput, ticks: int) -> dict[str, Any] | None:
         return {**command, "ticks": ticks} if ticks else None
     if command["type"] not in _TICKING:
         return command  # the world stopped at it
-    results = _content(recorded.reply).get("results")
-    codes = [one.get("code") if isinstance(one, dict) else None for one in results] if isinstance(results, list) else []
+    codes = [result.get("code") for result in _results(recorded.reply)]
     parts = []
     for part, code in zip_longest(command["commands"], codes[: len(command["commands"])]):
         # Where the reply is missing, all its steps are taken to have ticked; if not, the digests will show it.
@@ -246,6 +274,12 @@ def _request(record: Record, reply: Record | None) -> Request:
     content = _content(reply)
     error = RejectedMessage(str(content.get("code", "")), str(content.get("message", "")), content.get("field"))
     return Request(record.data, None, error, content.get("command"), content.get("id", NO_ID))
+
+
+def _results(reply: Record | None) -> list[dict[str, Any]]:
+    """Returns the replies in a reply to a batch, each an object as `_content`."""
+    results = _content(reply).get("results")
+    return [one if isinstance(one, dict) else {} for one in results] if isinstance(results, list) else []
 
 
 def _content(reply: Record | None) -> dict[str, Any]:

@@ -165,6 +165,50 @@ def test_a_faulted_world_is_restored_at_the_frame_before_its_fault(tmp_path: Pat
     assert world.fault is not None
 
 
+@pytest.mark.parametrize("how", ["step", "clock", "batch"])
+def test_a_world_that_was_reset_after_its_fault_is_restored_with_what_came_then(tmp_path: Path, how: str) -> None:
+    setting_up = [{"type": "reset"}, {"type": "spawn_cube", "cube_name": "new"}]
+
+    def fail(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="far")
+        send(world, client, type="step", ticks=9)
+        send(world, client, type="apply_physics", cube_name="far", impulse=[1e15, 0, 0])
+        if how == "batch":
+            send(world, client, type="batch", commands=[{"type": "step", "ticks": 99}, *setting_up])
+            return
+        if how == "clock":
+            for _ in range(99):
+                world.tick()
+        else:
+            send(world, client, type="step", ticks=99)
+        assert world.fault is not None
+        for command in ({"type": "get_world_info"}, *setting_up):
+            world.execute(client, command)
+
+    recording = Recording(record(tmp_path / "x.mcap", fail))
+    world = world_at(recording)
+    assert world.fault is None and world.cubes() == ["new"] and world.frame == 0
+    assert world.ticks == recording.last_frame >= 9
+
+
+def test_a_world_whose_reset_was_refused_or_that_stopped_again_is_restored_at_the_frame_before(tmp_path: Path) -> None:
+    def fail(world: World, client: int) -> None:
+        for seed in (-1, 3):
+            send(world, client, type="spawn_cube", cube_name="far")
+            send(world, client, type="apply_physics", cube_name="far", impulse=[1e15, 0, 0])
+            send(world, client, type="step", ticks=99)
+            assert world.fault is not None
+            send(world, client, type="reset", seed=seed)
+        send(world, client, type="spawn_cube", cube_name="last")
+        send(world, client, type="apply_physics", cube_name="last", impulse=[1e15, 0, 0])
+        send(world, client, type="step", ticks=99)
+
+    world = world_at(Recording(record(tmp_path / "x.mcap", fail)))
+    assert (world.fault, world.cubes()) == (None, ["last"])
+    world.tick()
+    assert world.fault is not None
+
+
 def test_a_parent_and_its_fork_are_compared_from_the_frame_of_the_fork(tmp_path: Path) -> None:
     recording = parent(tmp_path, "mujoco")
     frame, path = recording.last_frame // 2, tmp_path / "x.mcap"
