@@ -6,6 +6,8 @@ import copy
 import json
 import re
 import shlex
+import stat
+import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -169,6 +171,17 @@ def test_what_is_named_is_there() -> None:
             context = DEPLOY / "compose" / service["build"]["context"]
             assert (context / service["build"]["dockerfile"]).resolve() == DEPLOY / "Containerfile"
     assert not (DEPLOY / "compose" / compose["secrets"]["password"]["file"]).exists()  # no password in the tree
+
+
+def test_the_password_of_the_compose_recipe_is_read_in_the_container_and_by_nobody_else_here(tmp_path: Path) -> None:
+    recipe = DEPLOY / "compose" / "compose.yaml"
+    (command,) = (line.lstrip("# ") for line in recipe.read_text().splitlines() if "/dev/urandom" in line)
+    assert f"$ {command}" in (ROOT / "docs" / "deploying.md").read_text().splitlines()
+    subprocess.run(["sh", "-euc", command], cwd=tmp_path, check=True)
+    password = tmp_path / read(recipe)["secrets"]["password"]["file"]
+    assert len(password.read_text().strip()) == 24
+    assert stat.S_IMODE(password.stat().st_mode) == 0o444  # Compose binds the file, with its owner and mode
+    assert stat.S_IMODE(password.parent.stat().st_mode) == 0o700 and password.parent != tmp_path
 
 
 @pytest.mark.parametrize("path", MANIFESTS, ids=name)
