@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final, NamedTuple
+from weakref import ref
 
 from orjson import Fragment
 
@@ -16,7 +17,7 @@ from nmes.ros import messages
 from nmes.ros.messages import RosError, number, ros_name
 from nmes.schemas.documents import JsonObject, write_json
 from nmes.world import World
-from nmes.world.entities import Joint
+from nmes.world.entities import Entities, Joint
 
 __all__ = ["NODE", "Graph", "Topic", "Views", "full_name"]
 
@@ -143,14 +144,14 @@ class Views:
         self.latest: Graph | None = None
         self._moment: tuple[int, int] | None = None
         self._made: dict[tuple[str, bool], bytes] = {}
-        self._world: World | None = None
+        self._entities: Callable[[], Entities | None] = lambda: None  # of which they are: those that woke are others
 
     def graph(self, world: World) -> Graph:
         """Returns the topics of a world, which must be readable."""
         graph = self.latest
-        if graph is None or self._world is not world or graph.version != world.structure_version:
+        if graph is None or self._entities() is not world.entities or graph.version != world.structure_version:
             graph = self.latest = Graph(world)
-            self._world, self._moment = world, None
+            self._entities, self._moment = ref(world.entities), None
         return graph
 
     def text(self, world: World, name: str, ros2: bool) -> bytes | None:

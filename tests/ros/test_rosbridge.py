@@ -305,6 +305,25 @@ def test_the_list_of_all_topics_is_made_once_for_the_same_topics() -> None:
     assert names[2] - names[1] == {"/box/pose"}
 
 
+def test_topics_of_a_world_that_slept_are_of_what_woke() -> None:
+    world, views = World(LOCKSTEP), Views()
+    client = world.join()
+    for name, height in (("a", 1), ("b", 3)):
+        send(world, client, type="spawn_cube", cube_name=name, position=[0, height, 0])
+    joint = {"joint_name": "hinge", "joint_type": "hinge", "axis": [0, 0, 1]}
+    send(world, client, type="create_joint", cube1="a", cube2="b", **joint)
+    world.leave(client)
+    topic = views.graph(world).find("/hinge/command")
+    assert topic is not None and topic.hear is not None
+    assert topic.hear({"data": 1})["param_name"] == "motor_target_velocity"
+    world.hibernate()
+    world.wake()
+    send(world, world.join(), type="set_joint_params", joint_name="hinge", params={"target_position": 0.5})
+    topic = views.graph(world).find("/hinge/command")
+    assert topic is not None and topic.hear is not None
+    assert topic.hear({"data": 1})["param_name"] == "target_position"
+
+
 def test_types_of_ros_2_have_its_time(robot: Peer) -> None:
     robot.call("/step", ticks=90)
     robot.say({"op": "subscribe", "topic": "/rocker/joint_states", "type": "sensor_msgs/msg/JointState"})
