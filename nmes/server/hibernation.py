@@ -76,6 +76,8 @@ class Hibernation:
 
     def wake(self) -> bool:
         """Takes the world up again; returns whether that is done in a thread, as it is unless the world is faulted."""
+        if self._recorder is not None:
+            self._recorder.settle()
         if self._worker.run(self._world.wake, self._woken):
             return True
         self._world.wake()

@@ -378,7 +378,7 @@ class HostedWorld:
 
         It is done in a thread, and the world need not wait for it, nor it for the world, however long a tick takes.
         """
-        if self._recorder is not None and not self._recorder.settled:
+        if self._recorder is not None and not self._recorder.settle():
             try:
                 await asyncio.to_thread(self._recorder.flush)
             except RecordingError as error:

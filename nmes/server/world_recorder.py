@@ -78,12 +78,13 @@ class WorldRecorder:
     @property
     def lag(self) -> float:
         """How old (s) the oldest record may be that is not written yet."""
-        return 0.0 if self.settled else monotonic() - self._flushed
+        return 0.0 if self._recorder.settled else monotonic() - self._flushed
 
-    @property
-    def settled(self) -> bool:
-        """Whether there is nothing to flush."""
-        return self._recorder.settled
+    def settle(self) -> bool:
+        """Tells whether there is nothing to flush; then what comes next is no older than this."""
+        if settled := self._recorder.settled:
+            self._flushed = monotonic()
+        return settled
 
     def flush(self) -> None:
         """Hands the recording to the system, as far as the world has gone.

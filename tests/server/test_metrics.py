@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import socket
@@ -99,6 +100,31 @@ def test_an_unrecorded_world_has_no_lag_and_realtime_ticks_are_counted() -> None
         assert (
             value(parse(server.call(metrics.page).decode()), "nmes_world_recording_lag_seconds", world="main") is None
         )
+
+
+async def test_a_record_is_as_old_as_it_is_and_not_as_the_last_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 1000.0
+    monkeypatch.setattr("nmes.server.world_recorder.monotonic", lambda: now)
+    async with Host(PASSWORD, record_to=tmp_path) as host:  # which does nothing by itself until it listens
+        hosted = host.add({"backend": "ballistic", "mode": "lockstep"})
+        hosted.world.tick()
+        await hosted.flush()
+        now += 3600
+        await hosted.flush()  # there is nothing to do
+        hosted.world.tick()
+        now += 1
+        assert hosted.figures.unwritten == 1
+        await hosted.hibernation.begin(0)
+        assert hosted.hibernation.resting
+        now += 3600
+        hosted.hibernation.wake()
+        while not hosted.readable:
+            await asyncio.sleep(0.01)
+        hosted.world.tick()
+        now += 2
+        assert hosted.figures.unwritten == 2
 
 
 def test_the_page_stays_short_for_many_worlds_and_counts_them_all() -> None:
