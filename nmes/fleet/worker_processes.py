@@ -131,21 +131,10 @@ class WorkerProcesses:
                     worker.process.kill()
 
     async def _start(self, number: int) -> None:
-        ours, theirs = socket.socketpair()
         try:
-            process = await asyncio.create_subprocess_exec(
-                *self._command,
-                str(theirs.fileno()),
-                pass_fds=[theirs.fileno()],
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.DEVNULL,
-                start_new_session=True,  # signals of a terminal are for the supervisor
-            )
+            ours, process = await self._spawn_process()
         except OSError as error:
-            ours.close()
             raise MachineError("worker_failed", f"worker {number} cannot be started: {error.strerror}") from error
-        finally:
-            theirs.close()
         worker = self._slots[number] = WorkerProcess(number, process)
         self._alive[worker] = None
         worker.line = Line(ours, lambda message: self._listen(worker, message), lambda: self._end(worker))
@@ -162,6 +151,28 @@ class WorkerProcesses:
             raise MachineError("worker_failed", f"worker {number} did not start: {told['error']}")
         worker.port, worker.ready = told["port"], True
         self._dispatch()
+
+    async def _spawn_process(self) -> tuple[socket.socket, asyncio.subprocess.Process]:
+        """Starts a process; returns our end of the line to it, and the process.
+
+        Raises:
+            OSError: The system has no room for it.
+        """
+        ours, theirs = socket.socketpair()
+        with theirs:
+            try:
+                process = await asyncio.create_subprocess_exec(
+                    *self._command,
+                    str(theirs.fileno()),
+                    pass_fds=[theirs.fileno()],
+                    stdin=asyncio.subprocess.DEVNULL,
+                    stdout=asyncio.subprocess.DEVNULL,
+                    start_new_session=True,  # signals of a terminal are for the supervisor
+                )
+            except OSError:
+                ours.close()
+                raise
+        return ours, process
 
     def _listen(self, worker: WorkerProcess, message: Message) -> None:
         worker.silent = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import random
@@ -441,6 +442,30 @@ async def test_a_worker_that_does_not_start_is_told_of(command: list[str], says:
     async with Supervisor(Keys("x", {}, {}), command, record_to=tmp_path, address="127.0.0.1") as host:
         with pytest.raises(MachineError, match=says):
             await host.start(2)
+
+
+async def test_a_worker_is_started_again_once_there_are_descriptors_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nmes.fleet.worker_processes.RETRY", (0.01, 0.01))
+    options: dict[str, Any] = {"record_to": tmp_path, "address": "127.0.0.1"}
+    async with Supervisor(Keys(PASSWORD, {}, {}), command_of_worker("text", 10), **options) as host:
+        await host.start(1)
+        pair, refused = socket.socketpair, 0
+
+        def refuse() -> tuple[socket.socket, socket.socket]:
+            nonlocal refused
+            refused += 1
+            if refused < 3:
+                raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+            return pair()
+
+        monkeypatch.setattr("nmes.fleet.worker_processes.socket.socketpair", refuse)
+        host.workers.running[0].process.kill()
+        async with asyncio.timeout(PATIENCE):
+            while host.workers.restarts < 1:
+                await asyncio.sleep(0.01)
+        assert refused == 3 and len(host.workers.running) == 1
 
 
 async def test_a_worker_that_hangs_is_ended_and_its_worlds_go_on_elsewhere(
