@@ -13,6 +13,7 @@ import logging
 import ssl
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 from time import time
@@ -30,7 +31,7 @@ from nmes.server.door import Guesses
 from nmes.server.host import SWEEP
 from nmes.server.keys import Keys
 from nmes.server.metrics import merged_pages
-from nmes.server.reception import Reception, spawn
+from nmes.server.reception import Reception, keep_on, spawn
 from nmes.server.retention import Retention
 
 __all__ = ["Supervisor", "shares_of_guesses"]
@@ -147,8 +148,9 @@ class Supervisor(Reception):
         self.guesses, self._begin["guesses"] = Guesses(own), each
         await self.workers.start(workers)
         self._running = True
-        loop = asyncio.get_running_loop()
-        self._tasks = [loop.create_task(work()) for work in (self._inspect, self._balance, self._sweep)]
+        self._tasks = [keep_on(self._inspect, self.limits.inspection), keep_on(self._balance, BALANCE)]
+        if self._retention is not None:
+            self._tasks.append(keep_on(partial(self._sweep, self._retention), SWEEP))
 
     async def close(self) -> None:
         """Stops listening, has the workers close their worlds and end, and hangs up."""
@@ -340,26 +342,22 @@ class Supervisor(Reception):
 
     async def _balance(self) -> None:
         """Moves worlds from a worker that has many more awake than another, those with the fewest clients first."""
-        while True:
-            await asyncio.sleep(BALANCE)
-            uneven = self.workers.uneven()
-            if uneven is None or self._opening:
-                continue
-            worker, number = uneven
-            for name, _ in sorted(worker.awake.items(), key=lambda item: (item[1], item[0]))[:number]:
-                place = self._places.get(name)
-                if place is not None and place.worker is worker and worker.takes:
-                    await self.open(name)
+        uneven = self.workers.uneven()
+        if uneven is None or self._opening:
+            return
+        worker, number = uneven
+        for name, _ in sorted(worker.awake.items(), key=lambda item: (item[1], item[0]))[:number]:
+            place = self._places.get(name)
+            if place is not None and place.worker is worker and worker.takes:
+                await self.open(name)
 
-    async def _sweep(self) -> None:
-        while self._retention is not None:
-            writing = {place.recording for place in self._places.values() if place.recording is not None}
-            writing |= {*self._kept.values()}
-            try:
-                await asyncio.to_thread(self._retention.sweep, time(), writing)
-            except OSError as error:
-                logger.warning("the folder of recordings cannot be gone through: %s", error)
-            await asyncio.sleep(SWEEP)
+    async def _sweep(self, retention: Retention) -> None:
+        writing = {place.recording for place in self._places.values() if place.recording is not None}
+        writing |= {*self._kept.values()}
+        try:
+            await asyncio.to_thread(retention.sweep, time(), writing)
+        except OSError as error:
+            logger.warning("the folder of recordings cannot be gone through: %s", error)
 
     async def metrics_page(self) -> bytes:
         """Makes one page of those of all workers, each figure with the number of its worker."""

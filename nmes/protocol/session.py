@@ -63,6 +63,11 @@ class Limits:
     connections: int = 1024
     unauthenticated: int = 128
 
+    @property
+    def inspection(self) -> float:
+        """How often it is looked whether one of these times is over, s."""
+        return min(1.0, self.stall_timeout / 4, self.idle_timeout / 4)
+
 
 @dataclass(frozen=True, slots=True)
 class Auth:

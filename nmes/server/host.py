@@ -10,6 +10,7 @@ import asyncio
 import logging
 import ssl
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from time import monotonic, time
 from types import TracebackType
@@ -25,7 +26,7 @@ from nmes.server.hosted_world import HostedWorld
 from nmes.server.keys import Keys
 from nmes.server.memory import Memory
 from nmes.server.metrics import Figures, Metrics
-from nmes.server.reception import Reception
+from nmes.server.reception import Reception, keep_on
 from nmes.server.retention import Retention
 from nmes.server.threads import WorkerPool
 from nmes.server.world_recorder import Origin
@@ -93,6 +94,7 @@ class Host(Reception):
         self._retention = retention
         self._flush_interval = flush_interval
         self._hibernate_after = hibernate_after
+        self._memory = Memory()
         self._pool = WorkerPool()
         self.worlds: dict[str, HostedWorld] = {}  # those that were created
         self.closed: list[HostedWorld] = []  # those that ended badly while the host goes on
@@ -313,10 +315,12 @@ class Host(Reception):
         found = await super().listen(host, port, world)
         if not self._running:
             self._running = True
-            loop = asyncio.get_running_loop()
-            self._tasks = [
-                loop.create_task(work()) for work in (self._inspect, self._flush, self._hibernate, self._sweep)
-            ]
+            flushing = (self._flush_interval or 1.0) / 2  # of what is promised: a slice or a long step may come between
+            self._tasks = [keep_on(self._inspect, self.limits.inspection), keep_on(self._flush, flushing)]
+            if (idle := self._hibernate_after) is not None:
+                self._tasks.append(keep_on(partial(self._hibernate, idle), min(max(idle / 4, 0.01), 5.0)))
+            if self._retention is not None:
+                self._tasks.append(keep_on(partial(self._sweep, self._retention), SWEEP))
             for hosted in self.worlds.values():
                 hosted.start()
         return found
@@ -342,22 +346,17 @@ class Host(Reception):
         return self._metrics.page()
 
     async def _flush(self) -> None:
-        # Twice as often as is promised: a slice or a long step may come between.
-        interval = (self._flush_interval or 1.0) / 2
-        while True:
-            await asyncio.sleep(interval)
-            for hosted in list(self._awake):
-                await hosted.flush()
+        for hosted in list(self._awake):
+            await hosted.flush()
 
-    async def _hibernate(self) -> None:
+    async def _hibernate(self, idle: float) -> None:
         """Has worlds hibernate that nobody uses, a few at once: else they could be made faster than they sleep.
 
         Beside worlds that keep pace with the wall's clock it is one at a time, with pauses: threads would take Python's
         lock from the loop, in which those tick.
         """
-        idle, memory = self._hibernate_after, Memory()
 
-        async def put_to_sleep(worlds: Iterator[HostedWorld], idle: float, gently: bool) -> int:
+        async def put_to_sleep(worlds: Iterator[HostedWorld], gently: bool) -> int:
             asleep = 0
             for hosted in worlds:
                 began = monotonic()
@@ -369,23 +368,19 @@ class Host(Reception):
                         await asyncio.sleep(monotonic() - began)
             return asleep
 
-        while idle is not None:
-            await asyncio.sleep(min(max(idle / 4, 0.01), 5.0))
-            paced = any(hosted.status.mode == "realtime" and not hosted.hibernation.resting for hosted in self._awake)
-            worlds = iter(list(self._awake))
-            lanes = (put_to_sleep(worlds, idle, paced) for _ in range(1 if paced else SLEEPERS))
-            let_go = sum(await asyncio.gather(*lanes))
-            await memory.tidy(len(self.worlds), let_go, idle=not self._awake, paced=paced)
+        paced = any(hosted.status.mode == "realtime" and not hosted.hibernation.resting for hosted in self._awake)
+        worlds = iter(list(self._awake))
+        lanes = (put_to_sleep(worlds, paced) for _ in range(1 if paced else SLEEPERS))
+        let_go = sum(await asyncio.gather(*lanes))
+        await self._memory.tidy(len(self.worlds), let_go, idle=not self._awake, paced=paced)
 
-    async def _sweep(self) -> None:
-        while self._retention is not None:
-            writing = {hosted.recording for hosted in self.worlds.values() if hosted.recording is not None}
-            writing |= {*self._kept.values()}
-            try:
-                await asyncio.to_thread(self._retention.sweep, time(), writing)
-            except OSError as error:
-                logger.warning("the folder of recordings cannot be gone through: %s", error)
-            await asyncio.sleep(SWEEP)
+    async def _sweep(self, retention: Retention) -> None:
+        writing = {hosted.recording for hosted in self.worlds.values() if hosted.recording is not None}
+        writing |= {*self._kept.values()}
+        try:
+            await asyncio.to_thread(retention.sweep, time(), writing)
+        except OSError as error:
+            logger.warning("the folder of recordings cannot be gone through: %s", error)
 
     @property
     def abandoned(self) -> bool:

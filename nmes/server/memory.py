@@ -79,7 +79,8 @@ def _give_back() -> None:
 
 
 def _resident() -> int:
-    """Returns how much memory (bytes) this process has, where the system tells; else 0."""
-    if sys.platform != "linux":
+    """Returns how much memory (bytes) this process has, where the system tells and a file may be opened; else 0."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
         return 0
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -28,7 +28,7 @@ from nmes.server.kept_worlds import note_closed
 from nmes.server.keys import Keys
 from nmes.server.probes import Probes
 
-__all__ = ["Reception", "drain", "spawn"]
+__all__ = ["Reception", "drain", "keep_on", "spawn"]
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -340,12 +340,9 @@ class Reception(ABC):
         await self._door.close()
 
     async def _inspect(self) -> None:
-        interval = min(1.0, self.limits.stall_timeout / 4, self.limits.idle_timeout / 4)
-        while True:
-            await asyncio.sleep(interval)
-            now = monotonic()
-            for connection in list(self._connections):
-                connection.inspect(now)
+        now = monotonic()
+        for connection in list(self._connections):
+            connection.inspect(now)
 
     async def _hang_up_on_all(self) -> None:
         """Hangs up on all connections; returns when they are gone."""
@@ -376,6 +373,23 @@ async def drain(host: Reception, seconds: float) -> None:
         logger.info("clients are still there after %g s", seconds)
     finally:
         telling.cancel()
+
+
+def keep_on(work: Callable[[], Coroutine[Any, Any, None]], rest: float) -> asyncio.Task[None]:
+    """Has work done again and again, each time after a rest (s), until the task is cancelled.
+
+    What goes wrong in it is logged, and it goes on: a host must not end with what it lacked for a moment.
+    """
+
+    async def go_on() -> None:
+        while True:
+            try:
+                await work()
+            except Exception:
+                logger.exception("the host failed in what it does now and then, and tries again")
+            await asyncio.sleep(rest)
+
+    return asyncio.get_running_loop().create_task(go_on())
 
 
 def spawn(work: Coroutine[Any, Any, None], among: set[asyncio.Task[None]]) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import gc
 import multiprocessing
 import os
+import resource
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,6 +69,23 @@ def grow() -> None:
     asyncio.run(memory.tidy(10, 1, idle=False, paced=True))
     assert resident() < before - (128 << 20)
     assert first and again and more
+
+
+def test_a_process_that_may_open_no_more_files_gives_memory_back_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[int] = []
+    monkeypatch.setattr("nmes.server.memory._give_back", lambda: called.append(1))
+    memory, limits = Memory(), resource.getrlimit(resource.RLIMIT_NOFILE)
+
+    async def tidy() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+        try:
+            for paced in (True, False):
+                await memory.tidy(10, 1, idle=True, paced=paced)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+    asyncio.run(tidy())
+    assert called
 
 
 def test_nothing_is_given_back_where_no_engine_was_let_go(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,9 +31,13 @@ from hypothesis import strategies as st
 
 import json_cases
 from nmes import protocol
-from nmes.protocol import COMMANDS, DELIMITER, Auth, Session
+from nmes.protocol import COMMANDS, DELIMITER, Auth, Limits, Session
 from nmes.recording import Recording
 from nmes.server import Host
+from nmes.server.connection import Connection
+from nmes.server.hosted_world import HostedWorld
+from nmes.server.memory import Memory
+from nmes.server.retention import Retention
 from servers import PASSWORD, PATIENCE, Peer, served, until
 
 Figures = Callable[[str, object], None]
@@ -530,3 +534,27 @@ def test_passwords_are_compared_in_constant_time(guess: str, monkeypatch: pytest
     monkeypatch.setattr("hmac.compare_digest", note)
     assert host.keys.accepts(guess) == (guess == PASSWORD)
     assert lengths == [(64, 64)]  # digests, so that neither length nor beginning of the password makes a difference
+
+
+@pytest.mark.parametrize(
+    ("owner", "method"), [(Connection, "inspect"), (HostedWorld, "flush"), (Memory, "tidy"), (Retention, "sweep")]
+)
+def test_what_a_host_does_now_and_then_goes_on_after_it_failed(
+    owner: type, method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    work, called = getattr(owner, method), 0
+
+    def fail_once(*arguments: Any, **options: Any) -> Any:
+        nonlocal called
+        called += 1
+        if called == 1:
+            raise ValueError("planted")
+        return work(*arguments, **options)
+
+    monkeypatch.setattr(owner, method, fail_once)
+    monkeypatch.setattr("nmes.server.host.SWEEP", 0.01)
+    options: dict[str, Any] = {"hibernate_after": 0.01, "retention": Retention(tmp_path, 1, None)}
+    limits = Limits(stall_timeout=0.04)
+    with served(record_to=tmp_path, flush_interval=0.02, limits=limits, **options) as server, server.peer():
+        until(lambda: called >= 3)
+    assert "ValueError: planted" in caplog.text and caplog.text.count("tries again") == 1
