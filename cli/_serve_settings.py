@@ -162,7 +162,9 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         password_source=source,
         world_passwords=worlds,
         role_passwords=_role_passwords(
-            options["role"], list(templates.values()), [password, *worlds.values(), *makers.values()]
+            options["role"],
+            [*templates.values(), *(recording.config for recording in kept.values())],
+            [password, *worlds.values(), *makers.values()],
         ),
         record_to=record_to,
         flush_interval=options["flush_interval"],

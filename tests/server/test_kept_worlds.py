@@ -184,6 +184,20 @@ def test_worlds_stay_those_of_their_makers_and_of_nobody_else(workers: tuple[str
         assert [world["world"] for world in host.client(password="of ann").close_world("red")] == ["green"]
 
 
+def test_roles_of_worlds_that_a_folder_keeps_have_passwords_without_their_config(tmp_path: Path) -> None:
+    folder, config, secret = tmp_path / "recordings", tmp_path / "arena.json", tmp_path / "player"
+    config.write_text('{"roles": {"player": {}}}')
+    secret.write_text("of players")
+    role = ["--role", f"player={secret}"]
+    with serving(folder, *role, "--config", str(config), "--worlds", "red") as host:
+        Twin("red").drive(host, 1)
+        host.stop()
+    with serving(folder, *role, "--resume", str(folder)) as host:
+        with host.client("red", password="of players") as client:
+            assert client.welcome["role"] == "player"
+        host.stop()
+
+
 def test_a_world_whose_recording_is_damaged_is_told_of_and_others_go_on(tmp_path: Path) -> None:
     with serving(tmp_path, *DURABLE, "--worlds", "red,green") as host:
         for name in ("red", "green"):
