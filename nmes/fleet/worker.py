@@ -67,6 +67,12 @@ class _Guest(Connection):
             self._host.buffer[: len(part)] = part
             self.buffer_updated(len(part))
 
+    def hang_up(self, error: NmesError | None = None) -> None:
+        """Tells a client whose world was given away while it was handed over that it is elsewhere: the host has it."""
+        if error is not None and error.code == "world_not_found" and self._default_world is not None:
+            error = moved(self._default_world)
+        super().hang_up(error)
+
     def connection_lost(self, error: Exception | None) -> None:
         """Tells the supervisor, who has the socket too: only then it is closed."""
         super().connection_lost(error)

@@ -444,6 +444,22 @@ async def test_a_worker_that_does_not_start_is_told_of(command: list[str], says:
             await host.start(2)
 
 
+async def test_a_client_that_is_handed_over_while_its_world_goes_elsewhere_is_told_so(
+    tmp_path: Path,
+) -> None:
+    options: dict[str, Any] = {"record_to": tmp_path, "address": "127.0.0.1"}
+    async with Supervisor(Keys(PASSWORD, {}, {}), command_of_worker("text", 10), **options) as host:
+        host.offer({"name": "red", **BALLISTIC})
+        await host.start(1)
+        _, port = await host.listen("127.0.0.1", 0)
+        assert await host.open("red") is None
+        (worker,) = host.workers.running
+        await worker.line.ask("release", world="red")  # as where it comes between a client and its worker
+        with pytest.raises(CommandFailed) as refused:
+            await AsyncClient(port=port, password=PASSWORD, world="red", timeout=PATIENCE).connect()
+        assert refused.value.code == "world_moved" and "'red'" in refused.value.message
+
+
 async def test_a_worker_is_started_again_once_there_are_descriptors_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
