@@ -121,7 +121,7 @@ class Supervisor(Reception):
         }
         self._begin = begin
         self.workers = WorkerProcesses(command, begin, self._hear, self._lose)
-        self.lost: list[tuple[str, str]] = []  # worlds whose recordings are not whole, and why, once it is closed
+        self.lost: list[tuple[str, str]] = []  # worlds whose recordings are not whole, and why, of workers that ended
         self._places: dict[str, _Place] = {}
         self._numbers = count(1)  # of connections
         self._moves = 0
@@ -159,10 +159,11 @@ class Supervisor(Reception):
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        self.lost += await self.workers.close()
+        lost = await self.workers.close()
         for opening in (*self._opening.values(), *self._makers):
             opening.cancel()
         await asyncio.gather(*self._opening.values(), *self._makers, return_exceptions=True)
+        self.lost = sorted({*self.lost, *lost})  # a worker that drains may tell twice
         await self._hang_up_on_all()
 
     # -- worlds ----------------------------------------------------------------------------------------------------
@@ -338,7 +339,7 @@ class Supervisor(Reception):
             for place in self._places.values():
                 if place.worker is worker:  # they sleep, and are complete when it has ended
                     place.worker, place.former = None, worker
-            await worker.line.ask("close")
+            self.lost += await worker.close()
 
     async def _balance(self) -> None:
         """Moves worlds from a worker that has many more awake than another, those with the fewest clients first."""

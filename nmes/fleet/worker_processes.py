@@ -71,6 +71,14 @@ class WorkerProcess:
         """Whether it takes worlds."""
         return self.ready and not self.draining and not self.gone
 
+    async def close(self) -> list[tuple[str, str]]:
+        """Has it close its worlds and end; returns those whose recordings are not whole, and why.
+
+        Raises:
+            LineEnded: It has ended before it said so.
+        """
+        return [(name, why) for name, why in (await self.line.ask("close")).body["lost"]]
+
 
 class WorkerProcesses:
     """The workers, as many as there are to be.
@@ -233,7 +241,7 @@ class WorkerProcesses:
             if worker.ready and not worker.gone:
                 with contextlib.suppress(LineEnded, TimeoutError):
                     async with asyncio.timeout(PATIENCE):
-                        lost.extend((name, why) for name, why in (await worker.line.ask("close")).body["lost"])
+                        lost.extend(await worker.close())
             worker.line.close()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(PATIENCE):

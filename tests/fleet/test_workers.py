@@ -460,6 +460,26 @@ async def test_a_client_that_is_handed_over_while_its_world_goes_elsewhere_is_to
         assert refused.value.code == "world_moved" and "'red'" in refused.value.message
 
 
+async def test_recordings_that_a_worker_lost_before_it_was_drained_are_told_of_in_the_end(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"record_to": tmp_path, "address": "127.0.0.1", "flush_interval": 0.0}
+    async with Supervisor(Keys(PASSWORD, {}, {}), command_of_worker("text", 10), **options) as host:
+        host.offer({"name": "red", **BALLISTIC})
+        await host.start(1)
+        _, port = await host.listen("127.0.0.1", 0)
+        assert await host.open("red") is None
+        (recording,) = tmp_path.iterdir()
+        recording.unlink()
+        with pytest.raises((CommandFailed, Disconnected)):
+            async with AsyncClient(port=port, password=PASSWORD, world="red", timeout=PATIENCE) as client:
+                await client.step()
+        (worker,) = host.workers.running
+        worker.process.terminate()
+        async with asyncio.timeout(PATIENCE):
+            await worker.ended.wait()
+    ((name, why),) = host.lost
+    assert name == "red" and "it was removed while it was written" in why
+
+
 async def test_a_worker_is_started_again_once_there_are_descriptors_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
