@@ -473,7 +473,8 @@ def _add_world(host: Host, settings: Settings) -> World:
         own = next(iter(settings.world_passwords.values()), None)
         if settings.parent is None:
             return host.add(settings.config, own).world
-        return host.resume(*settings.parent, own).world
+        recording, frame = settings.parent
+        return host.resume(recording, frame, own, _maker_of(recording, settings)).world
     return _sample(settings)
 
 

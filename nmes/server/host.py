@@ -132,13 +132,20 @@ class Host(Reception):
         """
         return self._add(config, None, password)
 
-    def resume(self, recording: Recording, frame: int | None = None, password: str | None = None) -> HostedWorld:
+    def resume(
+        self,
+        recording: Recording,
+        frame: int | None = None,
+        password: str | None = None,
+        maker: str | None = None,
+    ) -> HostedWorld:
         """Hosts the world of a recording, which goes on from a frame of it; its recorded clients are gone.
 
         Args:
             recording: The recording.
             frame: The frame, counted on through resets; None: where it ends.
             password: What opens this world alone; None: only the host's does.
+            maker: Who created it over the wire, one of the host's makers; None: the host.
 
         Raises:
             RecordingError: There is no such frame, a tick on the way to it does not come out as recorded, or the new
@@ -147,10 +154,12 @@ class Host(Reception):
             WorldError: As `offer`.
         """
         origin = Origin(recording, recording.last_frame if frame is None else frame)
-        return self._add(recording.config, origin, password)
+        return self._add(recording.config, origin, password, maker)
 
-    def _add(self, config: Mapping[str, Any], origin: Origin | None, password: str | None) -> HostedWorld:
-        name = self.offer(config, password)
+    def _add(
+        self, config: Mapping[str, Any], origin: Origin | None, password: str | None, maker: str | None = None
+    ) -> HostedWorld:
+        name = self.offer(config, password, maker=maker)
         try:
             hosted = self.worlds[name] = self._make(name, origin)
         except NmesError:

@@ -184,6 +184,27 @@ def test_worlds_stay_those_of_their_makers_and_of_nobody_else(workers: tuple[str
         assert [world["world"] for world in host.client(password="of ann").close_world("red")] == ["green"]
 
 
+def test_a_world_stays_that_of_its_maker_where_a_host_goes_on_with_its_recording_alone(tmp_path: Path) -> None:
+    folder, makers = tmp_path / "recordings", tmp_path / "makers"
+    makers.mkdir()
+    (makers / "ann").write_text("of ann")
+    options = [*DURABLE, "--makers", str(makers)]
+    with serving(folder, *options) as host:
+        host.client(password="of ann").create_world("red")
+        Twin("red").drive(host, 2)
+        host.stop()
+    for frame in (2, 3):
+        newest = max(folder.glob("red-*.mcap"))
+        arguments = ["--json", "--port", "0", "--record", str(folder), *options, "--resume", str(newest)]
+        with process("serve", *arguments, NMES_PASSWORD=PASSWORD) as server:
+            host = Fleet(server, folder, ready(server))
+            with host.client("red", password="of ann") as client:
+                assert client.get_world_info()["frame"] == frame
+                client.step()
+            assert [world["world"] for world in host.client(password="of ann").worlds()] == ["red"]
+            host.stop()
+
+
 def test_roles_of_worlds_that_a_folder_keeps_have_passwords_without_their_config(tmp_path: Path) -> None:
     folder, config, secret = tmp_path / "recordings", tmp_path / "arena.json", tmp_path / "player"
     config.write_text('{"roles": {"player": {}}}')
