@@ -173,10 +173,9 @@ class Development:
         """Returns the cube that was a part once, where it is loose and lies no farther off than it is long."""
         joint, base, held = growth.hold(creature, part)
         shape = next(each for each in creature.form.cubes if each.id == part)
-        first = f"{creature.name}.{part}"
         for name, cube in around.entities.cubes.items():
-            number = name.removeprefix(f"{first}.")
-            if (name == first or number.isdigit()) and cube.size == shape.size and not around.is_part(cube.body):
+            own = _called(name, creature, part) and cube.player == held.player and cube.size == shape.size
+            if own and not around.is_part(cube.body):
                 there, here = (around.entities.simulation.body_state(each.body) for each in (cube, held))
                 gap = minus(joint_where(joint, shape, there).anchor, joint_where(joint, base, here).anchor)
                 if total(each * each for each in gap) <= max(cube.size) ** 2:
@@ -229,3 +228,11 @@ class Development:
         self.begun, self._age, self.stage = state["begun"], state["age"], state["stage"]
         self._uses, self._waits, self._scales = list(uses), list(waits), scales
         self.form = resized(self._body, scales)
+
+
+def _called(name: str, creature: Creature, part: str) -> bool:
+    """Whether a cube is called as a part of a creature was once: as at birth, or with a number; as no other part."""
+    first = f"{creature.name}.{part}"
+    number = name.removeprefix(f"{first}.")
+    numbered = number != name and number.isdecimal()
+    return name == first or (numbered and all(name != f"{creature.name}.{each.id}" for each in creature.body.cubes))

@@ -156,6 +156,41 @@ def test_it_takes_up_nothing_that_is_not_its_own_or_is_a_part_of_another() -> No
     assert place.live(2)[1:] == []
 
 
+@pytest.mark.parametrize("name", ["7", "s.c3.x", "s.c37", "c3"])
+def test_it_takes_up_no_cube_that_is_called_otherwise_than_its_part(name: str) -> None:
+    place = Place(rules({"when": "age > 1", "adopt": ["c3"]}), **FLOAT)
+    place.drive()
+    place("shed", creature="s", part="c3", remove=True)
+    x, y, z = place.state("c2")["position"]
+    place("spawn_cube", cube_name=name, position=[x + 0.36, y, z], size=[0.26, 0.14, 0.26], mass=0.5)
+    assert place.live(2)[1:] == [] and "c3" not in place.parts
+
+
+def test_it_takes_up_no_other_part_whose_name_is_its_own_with_a_number() -> None:
+    genome = rules({"when": "age > 1", "adopt": ["c2"]})
+    genome["body"]["cubes"][3]["id"] = genome["body"]["joints"][2]["cube2"] = "c2.2"
+    place = Place(genome, **FLOAT)
+    place.drive()
+    x, y, z = place.state("c2")["position"]
+    place("shed", creature="s", part="c2.2")
+    place("shed", creature="s", part="c2", remove=True)
+    place("set_cube_state", cube_name="s.c2.2", position=[x, y, z])
+    assert place.live(2)[1:] == [] and "c2" not in place.parts
+
+
+def test_it_takes_up_nothing_that_another_player_made() -> None:
+    place = Place(rules({"when": "age > 1", "adopt": ["c3"]}), roles={"player": {}}, **FLOAT)
+    place.drive()
+    place("shed", creature="s", part="c3", remove=True)
+    x, y, z = place.state("c2")["position"]
+    stick = {"cube_name": "s.c3", "position": [x + 0.36, y, z], "size": [0.26, 0.14, 0.26], "mass": 0.5}
+    stranger = place.world.join("player", None)
+    assert place.world.execute(stranger, {"type": "spawn_cube", **stick})["spawned"] == "s.c3"
+    assert place.live(2)[1:] == [] and "c3" not in place.parts
+    place("give", cube_name="s.c3", player=1)
+    assert [event["lost_cubes"] for event in place.live(1)] == [[]]
+
+
 def test_a_part_of_another_size_is_as_dense_and_carries_what_hangs_on_it() -> None:
     place = Place(rules({"when": "age > 0.5", "resize": [{"part": "c1", "scale": 1.5}]}), **FLOAT)
     place("set_cube_state", cube_name="s.c0", rotation=[0.3, 0.8, -0.4], linear_velocity=[1, 2, 3])
