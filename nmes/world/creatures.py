@@ -124,7 +124,7 @@ class Creatures:
             return
         if self._version != self._entities.version:
             self._forget_dissolved()
-        around = Habitat(self._entities, self._is_part, energy_of)
+        around = Habitat(self._entities, self.is_part, energy_of)
         for creature in self._developing:
             assert creature.development is not None
             changed, refused = creature.development.tick(creature, around)
@@ -136,7 +136,8 @@ class Creatures:
         works = (each.development.work(ticks) for each in self._developing if each.development is not None)
         return total(development_cost(self._entities, *work) for work in works)
 
-    def _is_part(self, body: int) -> bool:
+    def is_part(self, body: int) -> bool:
+        """Whether a cube, by its number in the engine, is a part of some creature."""
         return any(body in creature.bodies for creature in self._creatures.values())
 
     def memory(self) -> bytes:

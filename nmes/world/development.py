@@ -166,7 +166,7 @@ class Development:
         cube = self._lying(creature, part, around)
         if cube is None:
             return False
-        growth.adopt(around.entities, creature, part, cube)
+        growth.adopt(around.entities, creature, part, cube, around.is_part)
         return True
 
     def _lying(self, creature: Creature, part: str, around: Habitat) -> Cube | None:

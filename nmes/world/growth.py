@@ -6,7 +6,7 @@ Invariant: what is refused has changed nothing.
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -109,10 +109,18 @@ def _shape(creature: Creature, part: str) -> BodyCube:
     return next(each for each in creature.form.cubes if each.id == part)
 
 
-def adopt(entities: Entities, creature: Creature, part: str, cube: Cube) -> None:
+def adopt(entities: Entities, creature: Creature, part: str, cube: Cube, is_part: Callable[[int], bool]) -> None:
     """Makes a cube of the world a part of a creature that is not there, joined where it is now, at position 0.
 
-    What the body's other joints, where they are still there under their first names, hold to it comes along.
+    What the body's other joints, where they are still there under their first names, hold to it comes along, but for
+    what is a part by now.
+
+    Args:
+        entities: Where.
+        creature: Who gains the part.
+        part: Its id.
+        cube: What becomes it, which is no part.
+        is_part: Tells whether a cube, by its number in the engine, is a part of some creature.
 
     Raises:
         WorldError: As by `grow`, but for want of room.
@@ -122,25 +130,36 @@ def adopt(entities: Entities, creature: Creature, part: str, cube: Cube) -> None
     made = _join(entities, part, cube, held, _free_name(creature, held[0].id, entities.joints))
     cubes, joints = creature.there
     more_cubes, more_joints = {part: cube}, {held[0].id: made}
-    while (found := _also(entities, creature, {**cubes, **more_cubes}, {**joints, **more_joints})) is not None:
-        one, old, ends = found
+    while (found := _also(entities, creature, cubes | more_cubes, joints | more_joints, is_part)) is not None:
+        one, old, fresh = found
         more_joints[one.id] = old
-        more_cubes |= {end: held for end, held in ends.items() if end not in cubes}
+        more_cubes |= fresh
     creature.extend(more_cubes, more_joints)
 
 
 def _also(
-    entities: Entities, creature: Creature, cubes: dict[str, Cube], joints: dict[str, Joint]
+    entities: Entities,
+    creature: Creature,
+    cubes: dict[str, Cube],
+    joints: dict[str, Joint],
+    is_part: Callable[[int], bool],
 ) -> tuple[BodyJoint, Joint, dict[str, Cube]] | None:
-    """Returns a joint of a body that is there as at birth on one of some cubes, and is not one of some joints."""
+    """Returns a joint of a body that is there as at birth on one of some cubes, and is not one of some joints.
+
+    And what hangs on it, where it is none of these cubes; a joint to what is a part by now is passed over.
+    """
+    taken = {cube.body for cube in cubes.values()}
     for each in creature.body.joints:
         old = entities.joints.get(f"{creature.name}.{each.id}")
         if old is None or each.id in joints or old.kind != each.kind:
             continue
         ends = {each.cube1: old.cube1, each.cube2: old.cube2}
         own = {end: cubes[end].name if end in cubes else f"{creature.name}.{end}" for end in ends}
-        if not cubes.keys().isdisjoint(ends) and all(held.name == own[end] for end, held in ends.items()):
-            return each, old, ends
+        if cubes.keys().isdisjoint(ends) or any(held.name != own[end] for end, held in ends.items()):
+            continue
+        fresh = {end: held for end, held in ends.items() if end not in cubes}
+        if not any(held.body in taken or is_part(held.body) for held in fresh.values()):
+            return each, old, fresh
     return None
 
 

@@ -156,6 +156,36 @@ def test_a_cube_is_adopted_where_it_is_with_what_hangs_on_it() -> None:
     assert place.world.creature("s").cubes["c3"] == "stick"
 
 
+def test_what_comes_along_with_a_cube_is_no_part_of_another() -> None:
+    resize = {"when": "age > 0.5", "resize": [{"part": "c2", "scale": 0.5}]}
+    place = Place({**snake(), "development": [resize]}, **FLOAT)
+    watch = {"when": 'sense("c3.height") > 99', "shed": ["c3"]}
+    sensors = [{"type": "height", "cube": "c3"}]
+    other = {**snake(), "later": ["c3"], "sensors": sensors, "development": [watch]}
+    place("spawn_creature", genome=other, name="o", position=[0, 1, 3])
+    place("shed", creature="s", part="c2")
+    assert place("adopt", creature="o", part="c3", cube_name="s.c3")["type"] == "part_grown"
+    assert place("adopt", creature="s", part="c2", cube_name="s.c2")["type"] == "part_grown"
+    assert list(place.world.creature("s").cubes) == ["c0", "c1", "c2"], "it is held, and yet no part"
+    for name in ("s", "o"):
+        place("drive", creature=name, controls=[0] * 3)
+    place("step", ticks=60)
+    assert place.world.fault is None
+    assert place.world.creature("s").cubes["c2"] == "s.c2" and place.world.creature("o").cubes["c3"] == "s.c3"
+
+
+def test_no_cube_becomes_two_parts() -> None:
+    genome = snake()
+    loop = {"type": "pin", "anchor": [0.72, 0.07, 0.2]}
+    genome["body"]["joints"].append({"id": "loop", "cube1": "c1", "cube2": "c3", **loop})
+    place = Place(genome, **FLOAT)
+    for part in ("c3", "c2"):
+        place("shed", creature="s", part=part)
+    place("create_joint", joint_name="s.loop", joint_type="pin", cube1="s.c1", cube2="s.c3")
+    place("adopt", creature="s", part="c2", cube_name="s.c3")
+    assert place.world.creature("s").cubes == {"c0": "s.c0", "c1": "s.c1", "c2": "s.c3"}
+
+
 PROGRAM: list[tuple[str, Json]] = [
     ("grow", {"part": "c2"}),
     ("grow", {"part": "c3"}),

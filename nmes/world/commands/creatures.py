@@ -110,7 +110,7 @@ def adopt(world: World, client: Client, command: JsonObject) -> JsonObject:
     owner = next((name for name in world.creatures() if cube.body in world.creature(name).bodies), None)
     if owner is not None:
         raise WorldError("invalid", f"cube_name: {cube.name!r} is a part of {owner!r}", "cube_name")
-    growth.adopt(world.entities, creature, command["part"], cube)
+    growth.adopt(world.entities, creature, command["part"], cube, world.all_creatures.is_part)
     return _gained(world, creature.name, command["part"], cube.name)
 
 
