@@ -15,6 +15,7 @@ from nmes.backend import Array
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject
 from nmes.world.creature import Creature
+from nmes.world.creatures import Creatures
 from nmes.world.entities import Entities
 
 __all__ = ["Inhabitant", "Roll", "traits_of"]
@@ -26,6 +27,8 @@ class Inhabitant:
 
     Attributes:
         name: The creature's.
+        root: The number of its root in the engine, by which it is known, since its name may be another's by now. None:
+            a keyframe of old does not tell, and it is gone.
         born: The frame in which it came.
         energy: What it has, J.
         generation: 0 of those who were not born here; else one more than the first parent's.
@@ -36,6 +39,7 @@ class Inhabitant:
     """
 
     name: str
+    root: int | None
     born: int
     energy: float
     generation: int
@@ -44,14 +48,24 @@ class Inhabitant:
     meals: int = 0
     barren: int = 0
 
-    def state(self) -> JsonObject:
-        """Returns it as plain JSON data."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+    def lives(self, creatures: Creatures) -> bool:
+        """Whether it is there still: itself, and not another of its name."""
+        creature = creatures.get(self.name)
+        return creature is not None and creature.root == self.root
+
+    def state(self, creatures: Creatures) -> JsonObject:
+        """Returns it as plain JSON data, with its root only where the creature of its name does not tell that."""
+        told = {each.name: getattr(self, each.name) for each in fields(self)}
+        if self.root is None or self.lives(creatures):
+            del told["root"]
+        return told
 
     @classmethod
-    def restored(cls, state: JsonObject) -> Inhabitant:
+    def restored(cls, state: JsonObject, creatures: Creatures) -> Inhabitant:
         """Rebuilds one from its `state`."""
-        values: dict[str, Any] = {**state, "energy": float(state["energy"]), "parents": list(state["parents"])}
+        creature = creatures.get(state["name"])
+        root = {"root": None if creature is None else creature.root}
+        values: dict[str, Any] = {**root, **state, "energy": float(state["energy"]), "parents": list(state["parents"])}
         return cls(**values)
 
 

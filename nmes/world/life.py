@@ -116,10 +116,10 @@ class Life:
 
     def _call_up(self, frame: int) -> Iterator[JsonObject]:
         """Takes in those whom clients brought, and forgets those who were taken apart."""
-        names = self._creatures.names()
-        for name in [name for name in self._living if name not in names]:
-            yield self._leave(name, frame, "gone")
-        for name in names:
+        for each in self.living:
+            if not each.lives(self._creatures):
+                yield self._leave(each.name, frame, "gone")
+        for name in self._creatures.names():
             if name not in self._living:
                 yield self._enter(self._creatures.find(name), frame, "entered")
 
@@ -283,7 +283,8 @@ class Life:
         energy = float(birth["gift"] if parents else birth["start"])
         generation = parents[0].generation + 1 if parents else 0
         names = [each.name for each in parents]
-        self._living[creature.name] = Inhabitant(creature.name, frame, energy, generation, species, names)
+        each = Inhabitant(creature.name, creature.root, frame, energy, generation, species, names)
+        self._living[creature.name] = each
         facts = {"parents": names, "genome": creature.genome.hash, "generation": generation, "species": species}
         return {"type": "creature_born", "frame": frame, "creature": creature.name, "cause": cause, **facts}
 
@@ -371,6 +372,7 @@ class Life:
         counts = [self.food.grown, self.born, self.died, self._came, self._kinds]
         for each in self._living.values():
             counts += [each.born, each.barren, each.species, each.generation]
+        counts += [each.root or 0 for each in self._living.values() if not each.lives(self._creatures)]
         energies = np.array([each.energy for each in self._living.values()])
         return np.array(counts, np.int64).tobytes() + energies.tobytes() + self.food.items.tobytes()
 
@@ -383,7 +385,7 @@ class Life:
             "came": self._came,
             "kinds": self._kinds,
             "species": [{"number": number, "genome": each.document} for number, each in self._species.items()],
-            "living": [each.state() for each in self.living],
+            "living": [each.state(self._creatures) for each in self.living],
         }
 
     def restore(self, state: JsonObject) -> None:
@@ -395,7 +397,7 @@ class Life:
         self.food.restore(state["food"])
         self.born, self.died, self._came, self._kinds = (state[name] for name in ("born", "died", "came", "kinds"))
         self._species = {each["number"]: Genome(each["genome"]) for each in state["species"]}
-        self._living = {each["name"]: Inhabitant.restored(each) for each in state["living"]}
+        self._living = {each["name"]: Inhabitant.restored(each, self._creatures) for each in state["living"]}
         if {each.species for each in self.living} != self._species.keys():
             raise ValueError("its species are not those of the living")
 

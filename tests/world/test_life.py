@@ -208,6 +208,56 @@ def test_hunters_take_energy_from_those_they_touch() -> None:
     assert living(world, client)[0]["energy"] == pytest.approx(600)
 
 
+def taken() -> tuple[World, int, list[Json]]:
+    """Returns a world in which a creature came and had its name taken by another since the last tick."""
+    world, client, events = watched(config(**STILL | {"cost": "20"}))
+    world.execute(client, {"type": "spawn_creature", "name": "x", "genome": cart(), "position": [40, 0, 0]})
+    run(world, 30)
+    for name in world.creature("x").cubes.values():
+        world.execute(client, {"type": "despawn_cube", "cube_name": name})
+    cube = {"id": "it", "size": 0.5, "mass": 1, "position": [0, 0.25, 0]}
+    other = {"format": "nmes-genome/1", "name": "other", "body": {"cubes": [cube]}}
+    world.execute(client, {"type": "spawn_creature", "name": "x", "genome": other, "position": [40, 0, 0]})
+    events.clear()
+    return world, client, events
+
+
+def test_who_takes_the_name_of_one_that_is_gone_is_another() -> None:
+    world, client, events = taken()
+    run(world, 1)
+    death, birth = events
+    assert (death["type"], death["creature"], death["cause"]) == ("creature_died", "x", "gone")
+    assert (birth["type"], birth["creature"], birth["cause"]) == ("creature_born", "x", "entered")
+    assert birth["species"] != death["species"]
+    assert (living(world, client)[1]["creature"], living(world, client)[1]["energy"]) == ("x", 299)
+
+
+def test_who_takes_a_name_is_another_in_a_restored_ecosystem_too() -> None:
+    world, _, _ = taken()
+    other = World(world.config)
+    other.restore(world.snapshot())
+    assert (other.snapshot(), other.digest()) == (world.snapshot(), world.digest())
+    for each in (world, other):
+        run(each, 1)
+        assert each.life is not None and each.life.died == 1
+    assert other.digest() == world.digest()
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_keyframe_of_old_does_not_tell_whose_name_is_anothers_and_is_read(gone: bool) -> None:
+    world, client, _ = taken()
+    if gone:
+        world.execute(client, {"type": "despawn_cube", "cube_name": "x.it"})
+    state, engine = unpack(world.snapshot(), world.config)
+    del state["life"]["living"][0]["root"], state["version"], state["config"]
+    old = pack(world.config, state, engine)
+    other = World(world.config)
+    other.restore(old)
+    assert other.snapshot() == old
+    run(other, 1)
+    assert other.life is not None and other.life.died == gone
+
+
 # -- birth ------------------------------------------------------------------------------------------------------------
 
 
