@@ -170,11 +170,18 @@ class Creature:
 
     @property
     def present(self) -> Body:
-        """The part of its body that is there, with the sensors and voices of all of it."""
+        """The part of its body that is there, with the sensors and voices of all of it.
+
+        What was adopted has the size, mass and shape of the cube that it is.
+        """
         if self.layout == 1:
             return self.body
         form = self.form
-        cubes = tuple(each for each in form.cubes if each.id in self._cubes)
+        cubes = tuple(
+            replace(each, size=cube.size, mass=cube.mass, shape=cube.shape)
+            for each in form.cubes
+            if (cube := self._cubes.get(each.id)) is not None
+        )
         joints = tuple(each for each in form.joints if each.id in self._joints)
         return replace(form, cubes=cubes, joints=joints, later=())
 

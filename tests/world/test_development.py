@@ -122,6 +122,20 @@ def test_conditions_are_about_senses_parts_mass_and_count() -> None:
     assert [event["lost_cubes"] for event in place.live(0.2)] == [["c3"]]
 
 
+def test_an_adopted_cube_has_the_mass_that_it_has() -> None:
+    place = Place(rules({"when": "mass > 900", "shed": ["c3"]}), **FLOAT)
+    place.drive()
+    place("shed", creature="s", part="c3", remove=True)
+    x, y, z = place.state("c2")["position"]
+    for name, mass in (("light", 500), ("heavy", 1000)):
+        place("spawn_cube", cube_name=name, position=[x + 0.4, y, z], size=0.2, mass=mass)
+        place("adopt", creature="s", part="c3", cube_name=name)
+        place.live(0.2)
+        assert ("c3" in place.parts) == (name == "light")
+        if name == "light":
+            place("shed", creature="s", part="c3", remove=True)
+
+
 def test_what_there_is_no_room_for_is_told_and_tried_again() -> None:
     place = Place(rules({"when": "true", "grow": ["c3"], "every": 0.5}, later=("c3",)), **FLOAT)
     x, y, z = place.state("c2")["position"]

@@ -193,6 +193,23 @@ def test_who_is_too_old_dies_and_is_gone() -> None:
     assert world.execute(client, {"type": "get_life"})["food"] == []
 
 
+def test_who_adopts_a_cube_pays_for_the_mass_and_size_that_it_has_and_leaves_that() -> None:
+    rules = STILL | {"cost": "mass + 100 * size", "death": {"age": 1, "carrion": 5}, "birth": {"start": 9000}}
+    world, client, _ = watched(config(**rules, genomes=[{**cart(), "later": ["right.back"]}]))
+    run(world, 1)
+    (name,) = world.creatures()
+    x, _, z = world.execute(client, {"type": "get_cube_state", "cube_name": f"{name}.trunk"})["position"]
+    stone = {"cube_name": "stone", "size": [0.2, 9, 0.2], "mass": 1000, "position": [x - 0.6, 4.5, z + 0.23]}
+    world.execute(client, {"type": "spawn_cube", **stone})
+    world.execute(client, {"type": "adopt", "creature": name, "part": "right.back", "cube_name": "stone"})
+    before = living(world, client)[0]["energy"]
+    run(world, 1)
+    assert before - living(world, client)[0]["energy"] == pytest.approx((8.4 + 1000 + 100 * 9) / 20)
+    run(world, 40)
+    (food,) = world.execute(client, {"type": "get_life"})["food"]
+    assert food["energy"] == pytest.approx(5 * 1008.4)
+
+
 def test_hunters_take_energy_from_those_they_touch() -> None:
     rules = STILL | {"catch": "mass > prey_mass ? 40.0 : 0.0", "population": {"start": 0}}
     world, client, events = watched(config(**rules))
