@@ -359,7 +359,7 @@ class Life:
     def _census(self, frame: int) -> JsonObject:
         living = self.living
         columns = {
-            **traits_of([self._creatures.find(each.name).body for each in living]),
+            **traits_of([self._creatures.find(each.name).present for each in living]),
             **self._history(frame),
             "generation": np.array([float(each.generation) for each in living]),
         }

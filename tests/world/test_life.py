@@ -275,6 +275,17 @@ def test_a_keyframe_of_old_does_not_tell_whose_name_is_anothers_and_is_read(gone
     assert other.life is not None and other.life.died == gone
 
 
+def test_the_census_counts_the_parts_that_are_there() -> None:
+    world, client, events = watched(config(**STILL, genomes=[{**cart(), "later": ["right.back"]}]))
+    run(world, 1)
+    (name,) = world.creatures()
+    world.execute(client, {"type": "shed", "creature": name, "part": "left.back", "remove": True})
+    run(world, 19)
+    means = [each["means"] for each in of(events, "census")]
+    assert [each["cubes"] for each in means] == [4, 3] and [each["motors"] for each in means] == [3, 2]
+    assert [each["mass"] for each in means] == pytest.approx([8.4, 7.6])
+
+
 # -- birth ------------------------------------------------------------------------------------------------------------
 
 
