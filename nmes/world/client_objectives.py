@@ -187,7 +187,8 @@ class ClientObjectives:
                 others[quantity.cube] = entities.cube(quantity.cube, "expression")
             if quantity.name == "contacts":
                 entities.require("contacts", "contacts", "expression")
-        self._objectives[name] = _ClientObjective(objective, cubes, others, command.get("target"), entities, frame)
+        target = entities.fields.position(command["target"]) if "target" in command else None
+        self._objectives[name] = _ClientObjective(objective, cubes, others, target, entities, frame)
         self._lost.pop(name, None)
         needs = [str(quantity) for quantity in objective.needs]
         return {"type": "objective_set", "name": name, "cubes": [cube.name for cube in cubes.values()], "needs": needs}
@@ -269,7 +270,11 @@ class ClientObjectives:
 
 
 def metric(entities: Entities, cube: Cube, command: JsonObject) -> JsonObject:
-    """Returns the value of a `compute_reward` command's metric for a cube, as `reward` has it."""
+    """Returns the value of a `compute_reward` command's metric for a cube, as `reward` has it.
+
+    Raises:
+        WorldError: `invalid`: in a planar world its axis has no direction in the plane.
+    """
     name = command["metric"]
     state = entities.simulation.body_state(cube.body)
     if name == "height":
@@ -281,9 +286,11 @@ def metric(entities: Entities, cube: Cube, command: JsonObject) -> JsonObject:
     elif name == "energy":
         value = entities.work(cube)
     elif name == "distance":
-        value = dist(state.position, command.get("target", cube.origin))
+        value = dist(state.position, entities.fields.position(command.get("target", cube.origin)))
     else:
-        axis = command.get("axis", protocol.COMMANDS["compute_reward"].defaults["axis"])
+        axis = entities.fields.position(command.get("axis", protocol.COMMANDS["compute_reward"].defaults["axis"]))
+        if not any(axis):
+            raise WorldError("invalid", "axis: must have a direction in the plane of this world", "axis")
         displacement = (a - b for a, b in zip(state.position, cube.origin, strict=True))
         value = total(a * b for a, b in zip(displacement, axis, strict=True)) / hypot(*axis)
     return {"type": "reward", "value": value, "metric": name, "cube_name": cube.name}

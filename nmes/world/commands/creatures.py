@@ -32,7 +32,7 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
     x, y, z = command.get("position", protocol.COMMANDS["spawn_creature"].defaults["position"])
     target = command.get("target")
     if target is not None and not isinstance(target, str):
-        target = (float(target[0]), float(target[1]), float(target[2]))
+        target = world.entities.fields.position(target)
     asked = world.entities.fields.position((x, y, z))
     position = world.all_creatures.place(genome.body, asked)
     alone = bool(command.get("autonomous"))
