@@ -151,8 +151,8 @@ class Creature:
             self._bind(cubes, joints)
         return bool(cubes)
 
-    def shed(self, part: str) -> list[Cube]:
-        """Cuts off a part and all that hangs on it alone; returns their cubes, which stay where they are.
+    def limb(self, part: str) -> list[Cube]:
+        """Returns the cubes of a part and of all that hangs on it alone.
 
         Raises:
             WorldError: It has no such part (`cube_not_found`), or that is its root (`invalid`).
@@ -161,7 +161,15 @@ class Creature:
             raise WorldError("cube_not_found", f"{self.name!r} has no part {part!r} now", "part")
         if self._cubes[part].body == self.root:
             raise WorldError("invalid", f"part: {part!r} is the root of {self.name!r}, on which all hangs", "part")
-        cut = beyond(self._cubes, self._joints, part)
+        return beyond(self._cubes, self._joints, part)
+
+    def shed(self, part: str) -> list[Cube]:
+        """Cuts off a `limb`; returns its cubes, which stay where they are.
+
+        Raises:
+            WorldError: As by `limb`.
+        """
+        cut = self.limb(part)
         numbers = {cube.body for cube in cut}
         for joint in list(self._joints.values()):
             if (joint.cube1.body in numbers) != (joint.cube2.body in numbers):

@@ -14,7 +14,7 @@ from nmes.backend.rotation import conjugate, cross, minus, multiply, normalize, 
 if TYPE_CHECKING:
     from nmes.world.entities import Cube, Joint
 
-__all__ = ["StructureMotion", "connected_cubes", "most_connected"]
+__all__ = ["StructureMotion", "connected_cubes", "joined_cubes", "most_connected"]
 
 UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -30,6 +30,11 @@ def connected_cubes(cube: Cube, joints: Mapping[str, Joint]) -> list[Cube]:
                 numbers.add(other.body)
                 cubes.append(other)
     return cubes
+
+
+def joined_cubes(cube: Cube, joints: Mapping[str, Joint]) -> list[Cube]:
+    """Returns a cube, and those that a joint on it goes to."""
+    return [cube, *(end for name in cube.joints for end in (joints[name].cube1, joints[name].cube2))]
 
 
 def most_connected(pairs: Sequence[tuple[Cube, Cube]], joints: Mapping[str, Joint]) -> int:

@@ -226,6 +226,18 @@ def test_what_hangs_on_anothers_cube_by_a_joint_that_somebody_else_made_is_not_m
     play.ok("mine", "apply_physics", cube_name="mine-c", force=[1, 0, 0])  # a pull at the joint is physics
 
 
+def test_a_part_that_hangs_on_anothers_cube_is_cut_off_and_not_taken_away() -> None:
+    play = furnished()
+    play.ok("mine", "grow", creature="mine-pet", part="c3")
+    play.ok("owner", "create_joint", cube1="mine-pet.c2", cube2="theirs-c", joint_name="tie", joint_type="hinge")
+    play.refused("mine", "despawn_cube", cube_name="mine-pet.c2")
+    for part in ("c2", "c1"):
+        play.refused("mine", "shed", creature="mine-pet", part=part, remove=True)
+    play.ok("mine", "shed", creature="mine-pet", part="c3", remove=True)  # it carries no joint of another
+    play.ok("mine", "shed", creature="mine-pet", part="c2")
+    assert "tie" in play.world.joints()
+
+
 def test_senses_of_a_target_and_objectives_do_not_look_at_what_may_not_be_looked_at() -> None:
     play = furnished()
     play.ok("mine", "spawn_creature", genome=snake(), name="spy", position=[0, 0.5, 16], target="theirs-a")
@@ -553,7 +565,7 @@ def test_the_page_says_of_every_command_which_kind_it_is() -> None:
     for first, commands in re.findall(r"^\| (`\w+` )?\| (`\w+`.*?) \| (?:what|the|nothing)", page, flags=re.MULTILINE):
         kind = first.strip("` ") or kind
         told.setdefault(kind, set()).update(re.findall(r"`(get_\w+|[a-z]+_\w+|\w+)`", commands))
-    told["look"] -= {"state", "life", "creatures"}
+    told["look"] -= {"state", "life", "creatures"}  # what `subscribe` names
     told[None] = set(FREE)
     assert told == {
         right.kind: {name for name in RIGHTS if RIGHTS[name].kind == right.kind} for right in RIGHTS.values()

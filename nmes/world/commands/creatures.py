@@ -13,7 +13,7 @@ from nmes.schemas.documents import JsonObject
 from nmes.world import growth
 from nmes.world.clients import Client
 from nmes.world.rights import Right, Touched, nothing
-from nmes.world.structure import connected_cubes
+from nmes.world.structure import connected_cubes, joined_cubes
 
 if TYPE_CHECKING:
     from nmes.world.world import World
@@ -155,11 +155,18 @@ def _with_adopted(world: World, client: Client, command: JsonObject) -> Touched:
     return [*(_cubes_of(world, client, command) or ()), *adopted]
 
 
+def _with_lost(world: World, client: Client, command: JsonObject) -> Touched:
+    """The creature, and what is joined to those cubes of it that are taken away."""
+    cubes = [*(_cubes_of(world, client, command) or ())]
+    limb = world.creature(command["creature"]).limb(command["part"]) if command.get("remove") else ()
+    return cubes + [other for cube in limb for other in joined_cubes(cube, world.entities.joints)]
+
+
 RIGHTS = {
     "spawn_creature": Right("build", nothing),
     "drive": Right("act", _cubes_of),
     "sense": Right("look", _with_target),
-    "shed": Right("build", _cubes_of),
+    "shed": Right("build", _with_lost),
     "grow": Right("build", _cubes_of),
     "adopt": Right("build", _with_adopted),
     "get_genome": Right("look", _cubes_of),

@@ -11,7 +11,7 @@ from nmes.world import readings
 from nmes.world.clients import Client
 from nmes.world.entities import Cube, cube_not_found
 from nmes.world.rights import Right, Touched, everything, named, nothing
-from nmes.world.structure import connected_cubes
+from nmes.world.structure import connected_cubes, joined_cubes
 
 if TYPE_CHECKING:
     from nmes.world.world import World
@@ -155,9 +155,7 @@ def _with_structure(world: World, client: Client, command: JsonObject) -> Touche
 
 def _with_neighbours(world: World, client: Client, command: JsonObject) -> Touched:
     """The cube, and those that it is joined to: they lose a joint."""
-    cube = world.entities.cube(command["cube_name"])
-    joints = [world.entities.joints[name] for name in cube.joints]
-    return [cube, *(end for joint in joints for end in (joint.cube1, joint.cube2))]
+    return joined_cubes(world.entities.cube(command["cube_name"]), world.entities.joints)
 
 
 RIGHTS = {
