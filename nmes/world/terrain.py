@@ -45,7 +45,8 @@ class Terrain:
         if planar and scene.heightfield is not None:  # the slice at z = 0, wherever its rows are
             line = [height for _, height in scene.heightfield.profile()]
             self._landscape = Heightfield(scene.heightfield.size, np.array([line] * 3))
-        corners = np.array([_extent(box) for box in scene.boxes]).reshape(-1, 2, 3)
+        self._obstacles = [box for box in scene.boxes if box.section()] if planar else scene.boxes
+        corners = np.array([_extent(box) for box in self._obstacles]).reshape(-1, 2, 3)
         self._low, self._high = corners[:, 0], corners[:, 1]
 
     def surface(self, x: float, z: float) -> Vector:
@@ -95,10 +96,10 @@ class Terrain:
             depths.append(_depth_in_landscape(box, self._landscape))
         if planet is not None:
             depths.append(_depth_in_planet(box, planet, up))
-        if scene.boxes:
+        if self._obstacles:
             low, high = _extent(box)
             near = np.flatnonzero(((self._low < high) & (self._high > low)).all(axis=1))
-            depths += [_depth_in_obstacle(box, scene.boxes[number], up, shallow) for number in near.tolist()]
+            depths += [_depth_in_obstacle(box, self._obstacles[number], up, shallow) for number in near.tolist()]
         deepest = max(depths)
         return deepest if deepest > shallow else 0.0
 

@@ -208,6 +208,12 @@ def test_a_planar_world_knows_only_the_slice_of_an_obstacle() -> None:
     assert Driver(behind, "mujoco").moved_to(0, 2.1, 0) == [0, 2.5, 0]
 
 
+def test_in_a_planar_world_what_is_round_is_beside_an_obstacle_that_is_not_in_the_plane() -> None:
+    behind = {"obstacles": [{"type": "box", "position": [0, 1, 1], "size": [4, 2, 1]}]}
+    assert Driver(behind, "pymunk").moved_to(0, 2.2, 0, size=2, shape="sphere") is None
+    assert Driver(behind, "mujoco").moved_to(0, 2.2, 0, size=2, shape="sphere") == pytest.approx([0, 3, 0])
+
+
 def test_a_cube_in_the_ground_beside_a_trench_is_set_down_and_one_in_the_trench_is_not() -> None:
     trench = {"obstacles": [{"type": "gap", "position": [0, 0, 0], "length": 4, "width": 4, "depth": 3}]}
     drive = Driver(trench)
