@@ -101,8 +101,7 @@ class Index:
         """Ends reading, and closes the file."""
         if self._reading is not None:
             self._reading.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._reading
+            await asyncio.wait([self._reading])
         await self._do(self._db.close)
         self._thread.shutdown()
 
@@ -173,9 +172,10 @@ class Index:
 
     def _read_on(self) -> None:
         """Has the folder looked through, where that is due, and what is new read, beside all else."""
-        if self._reading is None or self._reading.done():
-            if self._reading is not None and not self._reading.cancelled():
-                self._reading.result()
+        if self._reading is not None and self._reading.done():
+            ended, self._reading = self._reading, None  # so that what failed is told once, and tried again
+            ended.result()
+        if self._reading is None:
             self._reading = asyncio.create_task(self._read())
 
     async def _read(self) -> None:
@@ -219,9 +219,10 @@ def _episode(recording: Recording) -> JsonObject:
             break
         command = parse(record.data).command if record.kind is records.Kind.COMMAND else None
         if command is not None and command["type"] == "spawn_creature":
-            creatures.append(command["genome"]["name"])
+            creatures.append(command["genome"].get("name"))
     named = task.get("name") if isinstance(task, dict) else None
-    return {"creature": _shown(", ".join(creatures)) or None, "task": _shown(named)}
+    known = [name for name in creatures if isinstance(name, str)]  # a genome that was refused may have any other
+    return {"creature": _shown(", ".join(known)) or None, "task": _shown(named)}
 
 
 def _run(folder: Folder, name: str) -> JsonObject:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import sqlite3
 import subprocess
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +17,16 @@ from click.testing import CliRunner
 from labs import RunningLab, running_lab
 from nmes.cli import main
 from nmes.evaluation import Task, evaluate
+from nmes.evaluation.episode import METADATA
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.match import play
 from nmes.evolution.run import Run
 from nmes.genome import Genome
+from nmes.lab.folder import Folder
+from nmes.lab.index import Index
+from nmes.world import World
 from processes import NMES
-from recordings import busy, record
+from recordings import busy, record, rewrite, send
 from servers import PATIENCE, until
 
 WALKER: Any = Genome.load("walker").document
@@ -228,6 +235,50 @@ def test_a_list_of_recordings_names_the_creatures_and_the_task_of_an_episode(tmp
         details = [each["details"] for each in lab.good("/api/recordings")["items"]]
         told = {(each["creature"], each["task"]) for each in details}
         assert told == {("walker", "walk"), ("walker, seeker", "sumo"), (None, None)}
+
+
+def test_a_list_of_recordings_minds_no_odd_genome_in_one(tmp_path: Path) -> None:
+    """Two genomes that no world takes, in what says that it is an episode."""
+
+    def odd(world: World, client: int) -> None:
+        for genome in ({}, {"name": ["x"]}, {"name": "a stranger"}):
+            send(world, client, type="spawn_creature", genome=genome)
+        send(world, client, type="step")
+
+    folder = Folder(tmp_path / "lab")
+    about = {METADATA: {"task": '{"name": "walk"}'}}
+    plain = record(tmp_path / "plain.mcap", odd)
+    rewrite(plain, folder.path / "recordings" / "odd.mcap", lambda lines: lines, about=about)
+
+    async def read() -> Any:
+        index = Index(folder)
+        while (details := (await index.page("recordings"))["items"][0]["details"]) is None:
+            pass
+        await index.close()
+        return details
+
+    details = asyncio.run(read())
+    assert (details["creature"], details["task"]) == ("a stranger", "walk")
+
+
+def test_a_list_is_read_on_when_the_disk_has_room_again(tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "lab")
+    record(folder.path / "recordings" / "plain.mcap", busy)
+
+    async def read() -> Any:
+        index = Index(folder)
+        with closing(sqlite3.connect(folder.path / ".index.sqlite")) as disk:
+            disk.execute("CREATE TRIGGER full BEFORE UPDATE ON things BEGIN SELECT RAISE(ABORT, 'full'); END")
+            with pytest.raises(sqlite3.Error, match="full"):
+                while True:
+                    await index.page("recordings")
+            disk.execute("DROP TRIGGER full")
+        while (details := (await index.page("recordings"))["items"][0]["details"]) is None:
+            pass
+        await index.close()
+        return details
+
+    assert asyncio.run(read())["frames"] > 0
 
 
 def test_a_long_list_comes_in_pages_the_newest_first(tmp_path: Path) -> None:
