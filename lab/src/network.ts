@@ -1,4 +1,7 @@
-/** Brains as networks to be drawn: units in columns, links with weights, and what each unit does with what is sensed. */
+/**
+ * Brains as networks to be drawn: units in columns, links with weights, and what each unit does with what is sensed; and
+ * waves as formulas. What a document leaves out is as the schemas say.
+ */
 
 export interface Unit {
   readonly label: string;
@@ -30,7 +33,7 @@ type Json = { readonly [name: string]: unknown };
 
 const ACTIVATIONS: Record<string, (x: number) => number> = {
   tanh: Math.tanh, sigmoid: (x) => 1 / (1 + Math.exp(-x)), sin: Math.sin, cos: Math.cos, gauss: (x) => Math.exp(-x * x),
-  step: (x) => (x > 0 ? 1 : 0), relu: (x) => Math.max(x, 0), abs: Math.abs, identity: (x) => x,
+  step: (x) => (x >= 0 ? 1 : 0), relu: (x) => Math.max(x, 0), abs: Math.abs, identity: (x) => x,
 };
 
 /**
@@ -116,7 +119,7 @@ function summed(sensed: readonly number[], places: readonly number[]): number {
   return places.reduce((total, place) => total + (sensed[place] ?? 0), 0);
 }
 
-interface Link { readonly from?: string; readonly sensor?: string; readonly to: string; readonly weight: number }
+interface Link { readonly from?: string; readonly sensor?: string; readonly to: string; readonly weight?: number }
 interface Node { readonly id: string; readonly motor?: string; readonly activation?: string; readonly bias?: number }
 
 function free(brain: Json, sensors: readonly string[]): Network {
@@ -124,7 +127,7 @@ function free(brain: Json, sensors: readonly string[]): Network {
   const links = (brain["links"] as readonly Link[] | undefined) ?? [];
   const sensed = [...new Set(links.flatMap(({ sensor }) => (sensor === undefined ? [] : [sensor])))];
   const place = new Map(nodes.map(({ id }, index) => [id, sensed.length + index]));
-  const wires = links.map(({ from, sensor, to, weight }) => ({
+  const wires = links.map(({ from, sensor, to, weight = 1 }) => ({
     from: sensor !== undefined ? sensed.indexOf(sensor) : place.get(from ?? "") ?? 0, to: place.get(to) ?? 0, weight,
   }));
   const { order, loops } = sorted(sensed.length + nodes.length, wires);
@@ -178,7 +181,7 @@ function sorted(count: number, wires: readonly Wire[]): { order: number[]; loops
 function coupled(brain: Json, sensors: readonly string[], outputs: readonly string[]): Network {
   const oscillators = brain["oscillators"] as { motor: string }[];
   const feedback = (brain["feedback"] as { sensor: string; motor: string; rate?: number; offset?: number }[] | undefined) ?? [];
-  const links = (brain["links"] as { from: string; to: string; weight: number }[] | undefined) ?? [];
+  const links = (brain["links"] as { from: string; to: string; weight?: number }[] | undefined) ?? [];
   const sensed = [...new Set(feedback.map(({ sensor }) => sensor))].filter((entry) => sensors.some((name) => name === entry || fits(entry, name)));
   const reads = sensed.map((entry) => sensors.flatMap((name, index) => (name === entry || fits(entry, name) ? [index] : [])));
   const driven = oscillators.map(({ motor }) => outputs.findIndex((name) => name === motor || fits(motor, name)));
@@ -187,7 +190,7 @@ function coupled(brain: Json, sensors: readonly string[], outputs: readonly stri
     units: [...sensed.map((label) => ({ label, column: 0 })), ...oscillators.map(({ motor }) => ({ label: motor, column: 1 }))],
     wires: [
       ...feedback.map(({ sensor, motor, rate, offset }) => ({ from: sensed.indexOf(sensor), to: place(motor), weight: rate ?? offset ?? 0 })),
-      ...links.map(({ from, to, weight }) => ({ from: place(from), to: place(to), weight })),
+      ...links.map(({ from, to, weight = 4 }) => ({ from: place(from), to: place(to), weight })),
     ].filter(({ from, to }) => from >= 0 && to >= sensed.length),
     remembers: true,
     activate: (values, mind) => [
@@ -195,4 +198,18 @@ function coupled(brain: Json, sensors: readonly string[], outputs: readonly stri
       ...driven.map((motor) => mind.controls[motor] ?? 0),
     ],
   };
+}
+
+interface Wave { readonly motor: string; readonly frequency?: number; readonly amplitude?: number; readonly phase?: number; readonly step?: number; readonly offset?: number }
+
+/** Returns what a brain without a network does, in words. */
+export function described(brain: Json): string {
+  const waves = brain["oscillators"];
+  if (!Array.isArray(waves)) {
+    return "It is no network that can be drawn.";
+  }
+  const several = (waves as readonly Wave[]).some(({ step = 0 }) => step !== 0);
+  return (waves as readonly Wave[]).map(({ motor, frequency = 1, amplitude = 0.5, phase = 0, step = 0, offset = 0 }) =>
+    `${motor}: ${offset} + ${amplitude} sin(2π ${frequency} t + ${phase}${step === 0 ? "" : ` - ${step} n`})`).join("; ")
+    + (several ? "; n is 0 for the first motor of a wave, 1 for the next" : "");
 }

@@ -1,4 +1,4 @@
-"""The model of the builder, in Node: its own tests, and that the command line reads what it makes."""
+"""The models of the pages, in Node: their own tests, and that the command line reads what the builder makes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The tests of the model, and the program that prints creatures, as Node takes them."""
     assert BUNDLE.exists(), "the packages of the lab are not there: make lab"
     out = tmp_path_factory.mktemp("bundle")
-    sources = [str(ROOT / "lab" / "test" / f"{name}.ts") for name in ("creature.test", "creatures", "charts.test")]
+    names = ("creature.test", "creatures", "charts.test", "network.test")
+    sources = [str(ROOT / "lab" / "test" / f"{name}.ts") for name in names]
     options = ["--bundle", "--platform=node", "--format=esm", "--out-extension:.js=.mjs", "--log-level=error"]
     subprocess.run([BUNDLE, *sources, *options, f"--outdir={out}"], check=True, timeout=60)
     return out
@@ -36,7 +37,7 @@ def node(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([found, *arguments], capture_output=True, text=True, timeout=120)
 
 
-@pytest.mark.parametrize("tests", ["creature", "charts"])
+@pytest.mark.parametrize("tests", ["creature", "charts", "network"])
 def test_the_model_does_what_its_tests_say(bundled: Path, tests: str) -> None:
     result = node("--test", bundled / f"{tests}.test.mjs")
     assert result.returncode == 0, result.stdout + result.stderr

@@ -266,6 +266,16 @@ def test_a_brain_with_a_memory_is_drawn_as_it_works(browser: Browser, lab: Lab) 
             assert serious(page) == []
 
 
+def test_a_brain_that_ships_and_leaves_weights_out_is_drawn(browser: Browser, lab: Lab) -> None:
+    bat = Genome.load("bat").document
+    assert any("weight" not in link for link in bat["brain"]["links"])
+    with nmes.Client(port=lab.host_port, password=PASSWORD) as client:
+        client.spawn_creature(bat, name="bat", autonomous=True, position=[0, 0, 9])
+    with opened(browser, lab, "brain/main/bat") as page:
+        page.get_by_role("heading", name="A brain of kind graph").wait_for()
+        assert page.locator(".wire").count() == len(bat["brain"]["links"])
+
+
 def test_a_table_of_q_learning_is_a_map_of_states(browser: Browser, lab: Lab) -> None:
     table = json.loads((lab.folder / "tables" / "table.json").read_text())
     with opened(browser, lab, "brain/table") as page:

@@ -4,7 +4,7 @@ import { action, done, line } from "../command.js";
 import { Link } from "../connection.js";
 import { append, field, fill, h, icon, svg } from "../dom.js";
 import { type Job, ended } from "../jobs.js";
-import { type Mind, type Network, network } from "../network.js";
+import { type Mind, type Network, described, network } from "../network.js";
 import type { Scene } from "../poses.js";
 import { type View, address, empty, go, heading, load } from "../shell.js";
 import { Visit, allWorlds } from "../world.js";
@@ -141,15 +141,6 @@ function show({ root, signal }: View, world: string, creature: string): void {
         h("div", { class: "card stack" }, h("h2", {}, "What it senses"), note, bars?.element ?? h("p", { class: "soft" }, "It has no sensors.")),
         h("div", { class: "card stack" }, h("h2", {}, "What its motors are told"), driven?.element ?? h("p", { class: "soft" }, "It has no motors.")))));
   }, signal);
-}
-
-function described(brain: { readonly [name: string]: unknown }): string {
-  const oscillators = brain["oscillators"];
-  if (Array.isArray(oscillators)) {
-    return (oscillators as { motor: string; frequency: number; amplitude?: number; phase?: number }[])
-      .map(({ motor, frequency, amplitude = 1, phase = 0 }) => `${motor}: ${amplitude} sin(2π ${frequency} t + ${phase})`).join("; ");
-  }
-  return "It is no network that can be drawn.";
 }
 
 /** Reads the sensors again and again, while the page is looked at. */
