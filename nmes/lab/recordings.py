@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple, cast
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from nmes.errors import NmesError, RejectedMessage
+from nmes.errors import NmesError, RecordingError, RejectedMessage
 from nmes.lab.folder import LabError
 from nmes.lab.lab import Lab
 from nmes.lab.scene import FORCES, force_text, frame_bytes, scene_text
@@ -33,6 +33,7 @@ MOST: Final = 2000  # marks of a recording
 _BIRTHS: Final = {"creature_born": "birth", "creature_died": "death"}  # the marks of an ecosystem's events
 _NOT_FOUND: Final = 4404  # the code with which a WebSocket is closed
 _FURTHEST: Final = 1 << 53
+_AHEAD: Final = 300  # frames from the wanted one on that are kept of a step of many ticks
 _EVERYDAY: Final = ("get_", "ping", "step", "subscribe", "unsubscribe", "compute_reward", "apply_")
 """How commands begin of which there are too many to be marks."""
 
@@ -99,11 +100,12 @@ def _marks(kind: Kind, record: Any) -> Iterator[JsonObject]:
 
 
 class _Sight(NamedTuple):
-    """A moment of a recording: its frame, its scene by number, where the cubes are, and the forces asked for."""
+    """A moment of a recording: its scene by number and as text, where the cubes are, and the forces asked for."""
 
-    frame: int
     scene: int
+    text: str
     poses: bytes
+    kinds: Sequence[str]
     forces: Sequence[str]
 
 
@@ -111,7 +113,10 @@ class _Wanted(NamedTuple):
     """What a page asks for: a frame, and kinds of forces."""
 
     frame: int
-    forces: Sequence[str]
+    kinds: Sequence[str]
+
+
+_Tick = tuple[int, _Sight | None]  # a frame, and what is seen of it
 
 
 class _Player:
@@ -121,11 +126,10 @@ class _Player:
         self._recording = Recording(path)
         self._first = self._recording.start().frame
         self._last = self._recording.last_frame
-        self._sights: Generator[_Sight, None, None] | None = None
+        self._ticks: Generator[_Tick, None, None] | None = None
         self._at = -1  # the frame to which it was run
-        self._number, self._version = 0, -1
+        self._number, self._version, self._scene = 0, -1, ""  # of the newest scene
         self._wanted = _Wanted(0, ())
-        self.scene = ""  # the newest one
 
     def header(self) -> str:
         """Returns the frame that a page is sent first."""
@@ -143,35 +147,45 @@ class _Player:
         self._wanted = wanted._replace(frame=frame)
         if frame == self._first:
             with closing(world_at(self._recording, frame)) as world:
-                return self._look(world)
+                return self._see(world)
         start = self._recording.start(frame - 1)
-        if self._sights is None or not max(start.frame, 0) <= self._at < frame:
+        if self._ticks is None or not max(start.frame, 0) <= self._at < frame:
             self.close()
-            self._sights = cast(Generator[_Sight, None, None], watch(self._recording, self._look, start=start))
+            self._ticks = cast(Generator[_Tick, None, None], watch(self._recording, self._look, start=start))
             self._at = start.frame
         until = monotonic() + PATIENCE
-        for sight in self._sights:
-            self._at = sight.frame
-            if sight.frame >= frame:
-                return sight
-            if monotonic() > until:
-                break
-        return None
+        try:
+            for at, sight in self._ticks:
+                self._at = at
+                if at >= frame:
+                    as_wanted = sight is not None and sight.kinds == wanted.kinds
+                    return sight if as_wanted else self.seek(wanted)  # which begins anew, since this frame was passed
+                if monotonic() > until:
+                    return None
+        except NmesError:
+            self.close()  # what has failed yields nothing any more
+            raise
+        self.close()
+        raise RecordingError("recording_damaged", f"the recording ends before frame {frame}")
 
-    def _look(self, world: World) -> _Sight:
-        """Looks at the world after a tick."""
+    def _look(self, world: World) -> _Tick:
+        """Looks at the world after a tick, of which there may be very many in one step before any is asked for."""
+        near = self._wanted.frame <= world.ticks < self._wanted.frame + _AHEAD
+        return world.ticks, self._see(world) if near else None
+
+    def _see(self, world: World) -> _Sight:
         if world.structure_version != self._version:  # of one history: equal numbers, equal cubes
             self._version, self._number = world.structure_version, self._number + 1
-            self.scene = scene_text(world, self._number)
-        kinds = self._wanted.forces if world.ticks >= self._wanted.frame else ()
-        forces = [text for kind in kinds if (text := force_text(kind, world, self._number)) is not None]
-        return _Sight(world.ticks, self._number, frame_bytes(world, self._number, world.ticks), forces)
+            self._scene = scene_text(world, self._number)
+        kinds, number = self._wanted.kinds, self._number
+        forces = [text for kind in kinds if (text := force_text(kind, world, number)) is not None]
+        return _Sight(number, self._scene, frame_bytes(world, number, world.ticks), kinds, forces)
 
     def close(self) -> None:
         """Ends what is run."""
-        if self._sights is not None:
-            self._sights.close()
-        self._sights = None
+        if self._ticks is not None:
+            self._ticks.close()
+        self._ticks = None
 
 
 async def show_recording(lab: Lab, websocket: WebSocket) -> None:
@@ -234,7 +248,7 @@ async def _play(lab: Lab, websocket: WebSocket, player: _Player, wanted: asyncio
             continue
         if sight.scene != told:
             told = sight.scene
-            await websocket.send_text(player.scene)
+            await websocket.send_text(sight.text)
         for text in sight.forces:
             await websocket.send_text(text)
         await websocket.send_bytes(sight.poses)

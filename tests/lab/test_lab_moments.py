@@ -1,0 +1,105 @@
+"""What a lab shows of a recording at one moment: inside of a long step, and where the recording fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+
+from browsers import Socket
+from labs import Frame, running_lab
+from nmes.playback.watch import states
+from nmes.recording import Recording
+from nmes.world import World
+from recordings import Line, record, rewrite, send
+
+LONG = 1200  # ticks of one step
+WRONG = 20  # the frame that does not come out as recorded
+
+
+@contextmanager
+def player(folder: Path) -> Iterator[Socket]:
+    """Plays the recording `it` of a lab's folder."""
+    with running_lab(folder) as lab, lab.socket("/ws/recording?name=it") as socket:
+        assert socket.hear()["type"] == "recording"
+        yield socket
+
+
+def moment(socket: Socket, frame: int, *kinds: str) -> tuple[dict[str, Any], Frame]:
+    """Returns the texts that come before the poses of a frame, by type, and these."""
+    socket.say({"frame": frame, "show": list(kinds)})
+    texts = {}
+    while not isinstance(message := socket.hear(), bytes):
+        assert message["type"] != "error", message
+        texts[message["type"]] = message
+    return texts, Frame.read(message)
+
+
+def place(tmp_path: Path) -> Path:
+    """Returns where the recording `it` of a lab in a folder lies."""
+    (tmp_path / "recordings").mkdir()
+    return tmp_path / "recordings" / "it.mcap"
+
+
+def test_each_moment_of_a_batch_has_its_own_scene(tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        spawns = [{"type": "spawn_cube", "cube_name": name, "position": [0, 9, n]} for n, name in enumerate("abc")]
+        send(world, client, type="batch", commands=[each for spawn in spawns for each in (spawn, {"type": "step"})])
+
+    record(place(tmp_path), play)
+    with player(tmp_path) as socket:
+        shown = None
+        for frame in (1, 2, 3, 2, 1, 3):
+            texts, poses = moment(socket, frame)
+            shown = texts.get("scene", shown)
+            assert [cube["name"] for cube in shown["cubes"]] == list("abc"[:frame])
+            assert (poses.scene, poses.frame, len(poses.poses)) == (shown["scene"], frame, frame)
+
+
+def test_any_moment_of_a_long_step_is_shown_with_what_is_asked_for(tmp_path: Path) -> None:
+    heights = {}
+
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="a", position=[0, 900, 0])
+        send(world, client, type="apply_physics", cube_name="a", force=[1, 0, 0])
+        send(world, client, type="step", ticks=LONG)
+
+    path = record(place(tmp_path), play)
+    for frame, _, _, values in states(Recording(path)):
+        heights[frame] = values[0, 1]
+    with player(tmp_path) as socket:
+        for frame in (1, 2, 3, LONG - 1, LONG, 2, 299, 300, 301, 302, 601, 500):
+            texts, poses = moment(socket, frame)
+            assert poses.frame == frame and poses.poses[0, 1] == np.float32(heights[frame])
+            assert "pushes" not in texts
+            texts, poses = moment(socket, frame + 1 if frame < LONG else 1, "pushes")
+            assert texts["pushes"]["frame"] == poses.frame
+
+
+def test_a_recording_that_fails_is_shown_up_to_there(tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="a", position=[0, 9, 0])
+        for _ in range(2 * WRONG):
+            send(world, client, type="step")
+
+    def spoil(lines: list[Line]) -> list[Line]:
+        def spoiled(line: Line) -> Line:
+            about = orjson.loads(line.data) if line.topic == "ticks" else {}
+            if about.get("frame") != WRONG:
+                return line
+            return line._replace(data=orjson.dumps({**about, "digests": ["0" * len(about["digests"][0])]}))
+
+        return [spoiled(line) for line in lines]
+
+    whole = record(tmp_path / "whole.mcap", play)
+    rewrite(whole, place(tmp_path), spoil)
+    with player(tmp_path) as socket:
+        for frame in (2 * WRONG, WRONG, WRONG + 1, WRONG):
+            for _ in range(2):  # no less the second time
+                socket.say({"frame": frame})
+                assert socket.hear()["code"] == "diverged"
+            assert moment(socket, WRONG - 1)[1].frame == WRONG - 1
