@@ -5,7 +5,7 @@ import { done } from "./command.js";
 import { Link } from "./connection.js";
 import type { Genome } from "./creature/genome.js";
 import { h } from "./dom.js";
-import { frame, type Scene } from "./poses.js";
+import { type Food, frame, type Scene } from "./poses.js";
 import { Stage } from "./scene.js";
 import { askHost, Visit } from "./world.js";
 
@@ -103,6 +103,7 @@ export function watch(world: string, creature: string | undefined, signal: Abort
   let fresh = false;
   const link = new Link(socketUrl("/ws/poses", { world }), {
     message(message) {
+      if (message["type"] === "food") stage.feed((message as { food?: Food }).food ?? []);
       if (message["type"] !== "scene") return;
       scene = message as unknown as Scene;
       stage.describe(scene);

@@ -1,4 +1,4 @@
-/** What /ws/poses and /ws/recording send: scenes, which say who is there, and frames, which say where they are. */
+/** What /ws/poses and /ws/recording send: scenes, which say who is there, food, and frames, which say where they are. */
 
 export interface SceneCube {
   readonly name: string;
@@ -25,7 +25,6 @@ export interface Scenery {
   readonly ground?: boolean;
   readonly boxes?: readonly { size: readonly number[]; position: readonly number[]; quaternion: readonly number[]; shape?: string }[];
   readonly planets?: readonly { position: readonly number[]; radius: number }[];
-  readonly food?: readonly (readonly number[])[];
   /** What all is in, kg/m3, up to its level, m; without one everywhere. */
   readonly medium?: { readonly density: number; readonly level: number | null };
   readonly landscape?: { readonly size: readonly number[]; readonly heights: readonly (readonly number[])[] } | null;
@@ -43,6 +42,9 @@ export interface Scene {
   readonly creatures?: readonly { name: string; genome?: string; target?: unknown }[];
   readonly scenery?: Scenery;
 }
+
+/** Where food is. */
+export type Food = readonly (readonly number[])[];
 
 /** Places in the scene of what touches (-1: ground), position, normal, force (N). */
 export type Contact = readonly [number, number, number, number, number, number, number, number, number];

@@ -6,7 +6,7 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Arrows } from "./arrows.js";
 import { h } from "./dom.js";
-import { type Contact, type Effort, type Frame, type Push, STRIDE, type Scene, type SceneCube, type SceneJoint } from "./poses.js";
+import { type Contact, type Effort, type Food, type Frame, type Push, STRIDE, type Scene, type SceneCube, type SceneJoint } from "./poses.js";
 import { color, onTheme } from "./theme.js";
 
 export type Point = readonly [number, number, number];
@@ -76,6 +76,7 @@ export class Stage {
   private readonly contacts = new Arrows(true);
   private readonly motors = new Arrows(false);
   private readonly pushes = new Arrows(true);
+  private food = new THREE.InstancedMesh(new THREE.SphereGeometry(0.12, 10, 8), new THREE.MeshLambertMaterial(), 0);
   private readonly rope = new THREE.Line(new THREE.BufferGeometry());
   private pieces: Piece[] = [];
   private described: Scene | undefined;
@@ -137,8 +138,14 @@ export class Stage {
     const counts: Record<Kind, number> = { box: 0, sphere: 0, cylinder: 0 };
     this.pieces = scene.cubes.flatMap((cube, place) => piecesOf(cube, place, counts));
     for (const kind of ["box", "sphere", "cylinder"] as const) {
-      this.meshes.get(kind)?.dispose();
-      this.scene.remove(...[this.meshes.get(kind)].filter((mesh) => mesh !== undefined));
+      const before = this.meshes.get(kind);
+      if (before !== undefined) {
+        this.scene.remove(before);
+        for (const mesh of [before, ...before.children] as THREE.InstancedMesh<THREE.BufferGeometry, THREE.Material>[]) {
+          mesh.material.dispose(); // not what boxes are painted with, which all share
+          mesh.dispose();
+        }
+      }
       this.meshes.delete(kind);
       if (counts[kind] > 0) {
         const material = new THREE.MeshLambertMaterial(kind === "box" ? { map: edged() } : {});
@@ -186,6 +193,17 @@ export class Stage {
       this.shift(this.centre().sub(before));
     }
     this.mark();
+    this.request();
+  }
+
+  /** Shows where food is. */
+  feed(food: Food): void {
+    this.scene.remove(this.food);
+    this.food.dispose();
+    this.food = new THREE.InstancedMesh(this.food.geometry, this.food.material, food.length);
+    food.forEach(([x = 0, y = 0, z = 0], place) => this.food.setMatrixAt(place, new THREE.Matrix4().makeTranslation(x, y, z)));
+    this.scene.add(this.food);
+    this.element.dataset["food"] = String(food.length);
     this.request();
   }
 
@@ -346,6 +364,7 @@ export class Stage {
     this.air("stage");
     this.outline.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     this.axes.material = new THREE.LineBasicMaterial({ color: color("joint"), depthTest: false });
+    this.food.material.color.set(color("good"));
     this.contacts.paint(color("contact"));
     this.motors.paint(color("series-3"));
     this.pushes.paint(color("series-2"));
@@ -384,11 +403,14 @@ export class Stage {
 
   /** Puts up what never moves. */
   private furnish({ scenery = { ground: true }, creatures = [] }: Scene): void {
-    const { ground = true, boxes = [], planets = [], landscape = null, food = [], medium } = scenery;
+    const { ground = true, boxes = [], planets = [], landscape = null, medium } = scenery;
     for (const child of [...this.fixed.children]) {
       this.fixed.remove(child);
       if (child instanceof THREE.Mesh) {
-        (child.geometry as THREE.BufferGeometry).dispose();
+        const { geometry, material } = child as THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>;
+        geometry.dispose();
+        material.map?.dispose(); // the ground's, which is drawn anew in the theme's colours
+        material.dispose();
       }
     }
     const material = new THREE.MeshLambertMaterial({ color: color("scenery") });
@@ -431,11 +453,6 @@ export class Stage {
         mark.position.fromArray(target as number[]);
         put(mark);
       }
-    }
-    if (food.length > 0) {
-      const dots = new THREE.InstancedMesh(new THREE.SphereGeometry(0.12, 10, 8), new THREE.MeshLambertMaterial({ color: color("good") }), food.length);
-      food.forEach(([x = 0, y = 0, z = 0], place) => dots.setMatrixAt(place, new THREE.Matrix4().makeTranslation(x, y, z)));
-      this.fixed.add(dots);
     }
   }
 

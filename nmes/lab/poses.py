@@ -15,7 +15,7 @@ from typing import Final
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nmes.errors import WorldError
-from nmes.lab.scene import FORCES, force_text, frame_bytes, mind_text, scene_text
+from nmes.lab.scene import FORCES, food_text, force_text, frame_bytes, mind_text, scene_text
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.world import World
@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 INTERVAL: Final = 1 / 60  # s between two looks
 SCENES: Final = 0.1  # s between two scenes of a world whose cubes come and go
-ACCOUNTS: Final = 0.1  # s between two accounts of contacts, of motors, and of pushes
+ACCOUNTS: Final = 0.1  # s between two accounts of food, of contacts, of motors, and of pushes
 _PART: Final = 0.1  # of the time that scenes or accounts of a large world may take
 PAUSE: Final = 10.0  # s after which a world that could not be looked at is looked at again
 MOST: Final = 64  # that may watch at once
@@ -218,12 +218,18 @@ class _Watched:
             self._frame = frame
             for reader in self.readers:
                 reader.show(frame)
-        if now >= self._told and world.fault is None:
+        if now >= self._told:
             self._tell_more(world)
             self._told = _next(now, ACCOUNTS)
 
     def _tell_more(self, world: World) -> None:
-        """Tells forces and minds to those who asked for them."""
+        """Tells where food is, where that is new, and forces and minds to those who asked for them."""
+        food = food_text(world)
+        for reader in self.readers:
+            if food is not None and reader.mind is None:
+                reader.tell("food", food)
+        if world.fault is not None:
+            return
         for kind in FORCES:
             curious = [reader for reader in self.readers if kind in reader.wants]
             if curious and (text := force_text(kind, world, self._number)) is not None:

@@ -18,7 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from nmes.errors import NmesError, RecordingError, RejectedMessage
 from nmes.lab.folder import LabError
 from nmes.lab.lab import Lab
-from nmes.lab.scene import FORCES, force_text, frame_bytes, scene_text
+from nmes.lab.scene import FORCES, food_text, force_text, frame_bytes, scene_text
 from nmes.playback.restore import world_at
 from nmes.playback.watch import watch
 from nmes.protocol import parse
@@ -100,10 +100,11 @@ def _marks(kind: Kind, record: Any) -> Iterator[JsonObject]:
 
 
 class _Sight(NamedTuple):
-    """A moment of a recording: its scene by number and as text, where the cubes are, and the forces asked for."""
+    """A moment of a recording: its scene by number and as text, its food, the poses, and the forces asked for."""
 
     scene: int
     text: str
+    food: str | None
     poses: bytes
     kinds: Sequence[str]
     forces: Sequence[str]
@@ -179,7 +180,8 @@ class _Player:
             self._scene = scene_text(world, self._number)
         kinds, number = self._wanted.kinds, self._number
         forces = [text for kind in kinds if (text := force_text(kind, world, number)) is not None]
-        return _Sight(number, self._scene, frame_bytes(world, number, world.ticks), kinds, forces)
+        poses = frame_bytes(world, number, world.ticks)
+        return _Sight(number, self._scene, food_text(world), poses, kinds, forces)
 
     def close(self) -> None:
         """Ends what is run."""
@@ -233,7 +235,7 @@ async def _listen(websocket: WebSocket, wanted: asyncio.Queue[_Wanted | None]) -
 
 async def _play(lab: Lab, websocket: WebSocket, player: _Player, wanted: asyncio.Queue[_Wanted | None]) -> None:
     """Answers the last of the frames that wait, again and again."""
-    told = 0
+    told, food = 0, None
     while (asked := await wanted.get()) is not None:
         if not wanted.empty():
             continue
@@ -249,6 +251,9 @@ async def _play(lab: Lab, websocket: WebSocket, player: _Player, wanted: asyncio
         if sight.scene != told:
             told = sight.scene
             await websocket.send_text(sight.text)
+        if sight.food is not None and sight.food != food:
+            food = sight.food
+            await websocket.send_text(sight.food)
         for text in sight.forces:
             await websocket.send_text(text)
         await websocket.send_bytes(sight.poses)

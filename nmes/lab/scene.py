@@ -1,4 +1,4 @@
-"""What a page draws: a scene, which says who is there, and frames, which say where they are.
+"""What a page draws: a scene, which says who is there, where food is, and frames, which say where they are.
 
 Hides how a world is read in one go. Neither changes the world nor is recorded.
 """
@@ -17,7 +17,7 @@ from nmes.world import World
 from nmes.world.fields import FieldReader
 from nmes.world.scenery import scene_spec
 
-__all__ = ["FORCES", "force_text", "frame_bytes", "mind_text", "scene_text"]
+__all__ = ["FORCES", "food_text", "force_text", "frame_bytes", "mind_text", "scene_text"]
 
 _HEAD: Final = struct.Struct("<II")
 _MOST: Final = 4000  # contacts that are told
@@ -79,7 +79,6 @@ def _scenery(world: World) -> JsonObject:
     ]
     scenery: dict[str, Any] = {"ground": spec.ground, "boxes": boxes, "landscape": None}
     scenery["planets"] = [{"position": planet.position, "radius": planet.radius} for planet in spec.planets]
-    scenery["food"] = world.entities.food.tolist()
     if spec.medium is not None:
         scenery["medium"] = {"density": spec.medium.density, "level": spec.medium.level}
     if spec.heightfield is not None:
@@ -87,6 +86,13 @@ def _scenery(world: World) -> JsonObject:
         rows, columns = (np.linspace(0, count - 1, min(count, _FINEST)).round().astype(int) for count in heights.shape)
         scenery["landscape"] = {"size": spec.heightfield.size, "heights": heights[np.ix_(rows, columns)].tolist()}
     return scenery
+
+
+def food_text(world: World) -> str | None:
+    """Returns where the food of an ecosystem is, as a text frame: equal texts, equal food; None in any other world."""
+    if world.life is None:
+        return None
+    return write_json({"type": "food", "food": world.entities.food.round(4).tolist()}).decode()
 
 
 def frame_bytes(world: World, number: int, frame: int) -> bytes:

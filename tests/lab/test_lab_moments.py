@@ -1,4 +1,4 @@
-"""What a lab shows of a recording at one moment: inside of a long step, and where the recording fails."""
+"""What a lab shows of a recording at one moment: inside of a long step, its food, and where the recording fails."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import orjson
+import pytest
 
 from browsers import Socket
+from ecosystems import config
 from labs import Frame, running_lab
 from nmes.playback.watch import states
 from nmes.recording import Recording
@@ -78,6 +80,25 @@ def test_any_moment_of_a_long_step_is_shown_with_what_is_asked_for(tmp_path: Pat
             assert "pushes" not in texts
             texts, poses = moment(socket, frame + 1 if frame < LONG else 1, "pushes")
             assert texts["pushes"]["frame"] == poses.frame
+
+
+def test_the_food_of_each_moment_is_told_where_it_is_another_than_before(tmp_path: Path) -> None:
+    foods: list[Any] = []
+
+    def play(world: World, client: int) -> None:
+        assert world.life is not None
+        for _ in range(60):
+            foods.append(world.life.food.items[:, :3].copy())
+            send(world, client, type="step")
+
+    record(place(tmp_path), play, {**config(), "backend": "mujoco"})
+    known = None
+    with player(tmp_path) as socket:
+        for frame in (0, 1, 2, 3, 40, 41, 59, 1):
+            texts, _ = moment(socket, frame)
+            known = texts["food"]["food"] if "food" in texts else known
+            assert np.array(known).reshape(-1, 3) == pytest.approx(foods[frame], abs=1e-3)
+        assert "food" not in moment(socket, 1)[0]
 
 
 def test_a_recording_that_fails_is_shown_up_to_there(tmp_path: Path) -> None:

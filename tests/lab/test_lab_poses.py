@@ -166,6 +166,23 @@ def test_pushes_are_told_while_they_are_new(lab: RunningLab) -> None:
         assert pushes() == []
 
 
+def test_food_is_told_anew_when_it_grows_or_is_eaten(lab: RunningLab) -> None:
+    with lab.socket() as maker:
+        maker.ask({"type": "auth", "create": {"world": "pond", "template": "ecosystem"}})
+    with lab.world(world="pond") as world, lab.socket("/ws/poses?world=pond") as watcher:
+        world.ask({"type": "set_mode", "mode": "lockstep"})
+        seen: list[Any] = []
+        for _ in range(3):
+            world.ask({"type": "step", "ticks": 40})
+            there = np.array([food["position"] for food in world.ask({"type": "get_life"})["food"]])
+            told: Any = None
+            while np.shape(told) != there.shape or not np.allclose(told, there, atol=1e-3):
+                message = watcher.hear()
+                told = message.get("food") if isinstance(message, dict) else None
+            seen.append(told)
+        assert seen[0] != seen[1] != seen[2]
+
+
 LOOP = {
     "kind": "graph",
     "nodes": [{"id": "out", "motor": "*"}, {"id": "hidden", "bias": 0.5}],

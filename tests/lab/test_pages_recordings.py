@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from ecosystems import config
 from lab_browser import PATIENCE, Lab, opened, running_browser, serious, served_lab
 from nmes.genome import Genome
+from nmes.playback.watch import watch
+from nmes.recording import Recording
 from nmes.world import World
 from processes import NMES
 from recordings import record, send
@@ -37,6 +40,12 @@ def walked(force: float) -> Callable[[World, int], None]:
     return play
 
 
+def fed(world: World, client: int) -> None:
+    """An ecosystem in which food grows and is eaten."""
+    for _ in range(60):
+        send(world, client, type="step")
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     with running_browser() as running:
@@ -51,6 +60,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     record(folder / "recordings" / "soft.mcap", walked(200.0), MUJOCO)
     record(folder / "recordings" / "hard.mcap", walked(900.0), MUJOCO)
     shutil.copy(folder / "recordings" / "soft.mcap", folder / "recordings" / "again.mcap")
+    growing = {"places": [{"radius": 6}], "start": 30, "rate": 20, "most": 90}
+    record(folder / "recordings" / "pond.mcap", fed, {**config(food=growing), **MUJOCO})
     with served_lab(folder) as running:
         yield running
 
@@ -138,3 +149,15 @@ def test_forces_of_a_recording_are_drawn_for_those_who_ask(browser: Browser, lab
         line.fill("141")
         page.locator(".pane[data-frame='141']").wait_for()
         assert drawn("contacts") == 0 and drawn("motors") > 0 and drawn("pushes") == 0
+
+
+def test_the_food_of_a_recording_is_that_of_its_moment(browser: Browser, lab: Lab) -> None:
+    pond = Recording(lab.folder / "recordings" / "pond.mcap")
+    foods = [0, *watch(pond, lambda world: len(world.entities.food))]
+    assert len({foods[1], foods[30], foods[60]}) == 3
+    with opened(browser, lab, "recordings/pond") as page:
+        line = page.get_by_label("Frame", exact=True)
+        page.wait_for_function("() => document.querySelector('[aria-label=Frame]').max === '60'")
+        for frame in (1, 30, 60, 1):
+            line.fill(str(frame))
+            page.locator(f".pane[data-frame='{frame}'] .stage[data-food='{foods[frame]}']").wait_for()

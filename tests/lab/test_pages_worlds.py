@@ -372,6 +372,36 @@ def test_the_theme_is_changed_and_kept(browser: Browser, lab: Lab) -> None:
         page.get_by_role("button", name="Light theme").wait_for()
 
 
+COUNTED = """
+const {createTexture: made, deleteTexture: gone} = WebGL2RenderingContext.prototype;
+const count = (by) => {
+  const {dataset} = document.documentElement;
+  dataset.textures = Number(dataset.textures ?? 0) + by;
+};
+WebGL2RenderingContext.prototype.createTexture = function () { count(1); return made.call(this); };
+WebGL2RenderingContext.prototype.deleteTexture = function (texture) { count(-1); return gone.call(this, texture); };
+"""
+
+
+def test_scenes_that_are_gone_leave_no_textures_behind(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds/main") as page:
+        page.add_init_script(COUNTED)
+        page.reload()
+        until(page, lambda: frames(page) > 0)
+        counts = []
+        cubes = page.locator(".facts dt", has_text="Cubes").locator("+ dd")
+        with nmes.Client(port=lab.host_port, password=PASSWORD) as client:
+            for number in range(8):
+                client.spawn_cube(cube_name=f"brief{number}", position=[30, 1, 2 * number])
+                cubes.get_by_text(str(len(client.get_world_state()["cubes"])), exact=True).wait_for()
+                drawn = int(page.locator(".stage").get_attribute("data-drawn") or 0)
+                until(page, lambda drawn=drawn: int(page.locator(".stage").get_attribute("data-drawn") or 0) > drawn)  # type: ignore[misc]
+                counts.append(int(page.locator("html").get_attribute("data-textures") or 0))
+            for number in range(8):
+                client.despawn_cube(cube_name=f"brief{number}")
+        assert counts[-1] == counts[1] > 0, counts
+
+
 def test_a_lost_connection_is_told_and_comes_back(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "worlds/main") as page:
         sockets: list[WebSocketRoute] = []

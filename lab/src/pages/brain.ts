@@ -51,6 +51,7 @@ function choose({ root, signal }: View): void {
       cards.append(card);
       const link = new Link(socketUrl("/ws/poses", { world }), {
         message: (message) => {
+          if (message["type"] !== "scene") return;
           const names = ((message as { creatures?: Scene["creatures"] }).creatures ?? []).slice(0, 50);
           card.hidden = names.length === 0;
           none.hidden ||= names.length > 0;

@@ -4,7 +4,7 @@ import { action, done, line } from "../command.js";
 import { Link } from "../connection.js";
 import { type Child, fill, h, icon, select } from "../dom.js";
 import { type Job, ended } from "../jobs.js";
-import { type Contact, type Effort, type Frame, type Push, type Scene, frame } from "../poses.js";
+import { type Contact, type Effort, type Food, type Frame, type Push, type Scene, frame } from "../poses.js";
 import { Stage } from "../scene.js";
 import { failure, go } from "../shell.js";
 
@@ -322,6 +322,8 @@ export class Player {
       this.stage.describe(this.scene);
       this.point(this.marked);
       this.follow();
+    } else if (message["type"] === "food") {
+      this.stage.feed((message as { food?: Food }).food ?? []);
     } else if (this.shown().includes(String(message["type"]))) {
       this.draw(message);
     } else if (message["type"] === "error") {

@@ -4,7 +4,7 @@ import { get, kept, part, socketUrl, words } from "../api.js";
 import { type Command as Shown, action, done, line, preview } from "../command.js";
 import { Link } from "../connection.js";
 import { type Child, fill, h, icon, select } from "../dom.js";
-import { type Contact, type Effort, type Push, type Scene, frame } from "../poses.js";
+import { type Contact, type Effort, type Food, type Push, type Scene, frame } from "../poses.js";
 import { type Pull, Stage } from "../scene.js";
 import { address, attempt, notify } from "../shell.js";
 import { Visit } from "../world.js";
@@ -191,6 +191,8 @@ class Pane {
       this.scene = message as unknown as Scene;
       this.stage.describe(this.scene);
       this.describe();
+    } else if (message["type"] === "food") {
+      this.stage.feed((message as { food?: Food }).food ?? []);
     } else if (message["type"] === "contacts") {
       this.stage.touch((message as { contacts?: readonly Contact[] }).contacts ?? []);
     } else if (message["type"] === "motors") {
