@@ -98,6 +98,18 @@ def test_a_creature_is_built_with_the_keyboard_alone(browser: Browser, lab: Lab)
     assert len(genome.body.motors) == 4 and genome.brain() is not None
 
 
+def test_creatures_are_saved_under_names_of_any_script(browser: Browser, lab: Lab) -> None:
+    names = {"Жук": "Жук", "Кот": "Кот", "海 馬": "海-馬", "Z\u0065\u0301bre": "Zébre", "…": "creature"}
+    with opened(browser, lab, "build") as page:
+        for name, file in names.items():
+            page.get_by_label("Name", exact=True).fill(name)
+            page.keyboard.press("Tab")
+            page.get_by_text("A good genome").wait_for()
+            page.get_by_role("button", name="Save").click()
+            page.get_by_text(re.compile(f"^Saved as {file},")).wait_for()
+            assert Genome.load(lab.folder / "genomes" / f"{file}.json").name == name
+
+
 def test_problems_are_told_with_their_place(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "build/walker") as page:
         page.get_by_text("A good genome").wait_for()

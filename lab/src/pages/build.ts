@@ -234,9 +234,10 @@ class Workshop implements Shop {
     ];
   }
 
-  /** The name of its file: letters, digits and what the lab's folder takes of other characters. */
+  /** The name of its file: letters and digits of any script, and what the lab's folder takes of other characters. */
   #file(): string {
-    return this.genome.name.normalize("NFKD").replace(/[^\w.-]+/g, "-").replace(/^[.-]+/, "").slice(0, 100) || "creature";
+    const name = this.genome.name.normalize("NFC").replace(/[^\p{L}\p{N}_.-]+/gu, "-").replace(/^[.-]+/, "");
+    return [...name].slice(0, 100).join("") || "creature";
   }
 
   async #save(): Promise<void> {
