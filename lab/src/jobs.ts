@@ -6,6 +6,8 @@ export interface Job {
   readonly state: "running" | "ended";
   /** Its exit status; null while it runs. */
   readonly status: number | null;
+  /** What it goes on with: `run NAME`, or nothing. */
+  readonly about: string | null;
   /** The last lines that it said. */
   readonly lines: readonly string[];
   /** What it printed as JSON, when it has ended. */

@@ -15,6 +15,7 @@ import nmes
 from lab_browser import PASSWORD, PATIENCE, Lab, opened, running_browser, serious, served_lab
 from nmes.evolution.run import Run
 from processes import NMES
+from recordings import busy, record
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -139,3 +140,32 @@ def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: L
         page.get_by_role("button", name="Start").click()
         page.get_by_text(re.compile("[1-9][0-9,]* of 600 steps")).wait_for(timeout=4 * PATIENCE)
     assert settings_of(lab, "copy")["algorithm"] == "clone"
+
+
+def test_a_run_that_fails_says_what_its_command_said(browser: Browser, lab: Lab) -> None:
+    record(lab.folder / "recordings" / "no-episode.mcap", busy)
+    with opened(browser, lab, "evolve") as page:
+        page.get_by_role("button", name="Learn", exact=True).click()
+        page.get_by_label("Algorithm").select_option("clone")
+        choice = page.get_by_label("Recordings to learn from")
+        choice.locator("option", has_text="no-episode").wait_for(state="attached")
+        choice.select_option("no-episode")
+        page.get_by_label("Name of the run").fill("none")
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text("The command failed").wait_for(timeout=2 * PATIENCE)
+        assert re.search(r"nmes learn \S+no-episode.mcap[^\n]*\n(.*\n)*Error: ", page.locator(".said").inner_text())
+        job = page.url.split("?job=")[1]
+        page.goto(lab.at(f"evolve/hills?job={job}"))  # of a lab before, whose jobs had the same numbers
+        page.get_by_text("4 of 4 candidates").wait_for()
+        page.get_by_role("button", name="Watch it").wait_for()
+        assert not page.locator(".said").is_visible()
+
+
+def test_a_run_is_shown_again_when_the_lab_answers_again(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "evolve/hills") as page:
+        best = page.get_by_role("button", name="Watch it")
+        best.wait_for()
+        page.route("**/api/runs/hills", lambda route: route.fulfill(body="no JSON"))
+        page.get_by_text("what is no JSON").wait_for()
+        page.unroute("**/api/runs/hills")
+        best.wait_for()

@@ -1,5 +1,5 @@
 /** One run, as it goes on: its curve, its best, its archive, who comes from whom; and the champion in a world. */
-import { get, kept, part, post, put, state, words } from "../api.js";
+import { ApiError, get, kept, part, post, put, state, words } from "../api.js";
 import { action, done, line } from "../command.js";
 import type { Genome } from "../creature/genome.js";
 import { portrait } from "../creature/portrait.js";
@@ -75,7 +75,7 @@ export class RunView {
       // A run that has just been started has no folder yet; what its command says tells whether it will.
       if (this.#shown === "" && this.#job !== null && !(await isRun(this.name))) {
         running = await this.#tell(this.#job);
-        if (running) return;
+        if (running || !this.#said.hidden) return;
       }
       const run = await get<Run>(`/runs/${part(this.name)}`);
       if (this.view.signal.aborted) return;
@@ -84,7 +84,10 @@ export class RunView {
       if (this.#job !== null && !running) await this.#tell(this.#job);
     } catch (error) {
       if (this.view.signal.aborted) return;
-      if (this.#said.hidden) fill(this.#best, failure(error, () => void this.#look()));
+      if (this.#said.hidden) {
+        fill(this.#best, failure(error, () => void this.#look()));
+        this.#shown = ""; // what is there when it answers again is drawn anew
+      }
     } finally {
       if (!this.view.signal.aborted) this.#timer = setTimeout(() => void this.#look(), running ? OFTEN : SELDOM);
     }
@@ -92,14 +95,29 @@ export class RunView {
 
   /** Shows what the command of this run says where it failed; returns whether it goes on. */
   async #tell(id: string): Promise<boolean> {
-    const job = await get<Job>(`/jobs/${part(id)}`);
-    const failed = job.state === "ended" && job.status !== 0 && job.status !== 1; // 1: it was paused
+    const job = await this.#begun(id);
+    if (job === undefined) return false;
+    // One that was paused also ends with 1, but prints how far it came, or says that it did not begin.
+    const paused = job.status === 1 && (job.result !== null || job.lines.at(-1) === "Aborted!");
+    const failed = job.state === "ended" && job.status !== 0 && !paused;
     this.#said.hidden = !failed;
     if (failed) {
       this.#said.textContent = [job.command, ...job.lines].join("\n");
-      fill(this.#best, h("p", { class: "bad" }, "The command failed; what it said stands above."));
+      if (this.#shown === "") fill(this.#best, h("p", { class: "bad" }, "The command failed; what it said stands above."));
     }
     return job.state === "running";
+  }
+
+  /** Returns a command of this run; undefined where the lab, begun anew meanwhile, has none or another by that number. */
+  async #begun(id: string): Promise<Job | undefined> {
+    try {
+      const job = await get<Job>(`/jobs/${part(id)}`);
+      if (job.about === `run ${this.name}`) return job;
+    } catch (error) {
+      if (!(error instanceof ApiError && error.status === 404)) throw error;
+    }
+    this.#job = null;
+    return undefined;
   }
 
   #show(run: Run): void {
