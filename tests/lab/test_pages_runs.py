@@ -66,6 +66,20 @@ def test_a_champion_is_watched_in_the_world_of_its_task(browser: Browser, lab: L
                 assert 0 < info["counts"]["cubes"] < 40
 
 
+def test_of_candidates_that_are_clicked_at_once_the_last_is_watched(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "evolve/hills") as page:
+        others = page.locator(".top button")
+        others.nth(1).wait_for()
+        last = others.nth(1).get_attribute("title")
+        # In one go, as a double click on two of them: each is staged while the one before is.
+        others.evaluate_all("buttons => [0, 1, 0, 1].forEach((each) => buttons[each].click())")
+        page.get_by_role("heading", name=f"{str(last).removeprefix('Watch ').capitalize()}, live").wait_for()
+        page.locator(".watched .stage").wait_for()
+        with nmes.Client(port=lab.host_port, password=PASSWORD, world="run-hills") as client:
+            creatures = {cube["cube_name"].split(".")[0] for cube in client.get_world_state()["cubes"]}
+        assert len(creatures) == 1
+
+
 def settings_of(lab: Lab, run: str) -> Any:
     """Returns what a run was begun with."""
     return json.loads((lab.folder / "runs" / run / "run.json").read_bytes())

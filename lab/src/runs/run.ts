@@ -46,6 +46,7 @@ export class RunView {
   readonly #portraits = new Map<number | "best", Promise<SVGElement | undefined>>();
   #shown = ""; // the digest of what is drawn
   #watching: AbortController | undefined;
+  #staged: Promise<void> = Promise.resolve(); // the last candidate that was put into the world, or could not be
   #chosen: number | "best" = "best";
   #timer = 0;
   #job: string | null;
@@ -235,25 +236,31 @@ export class RunView {
     fill(this.#family, h("h2", {}, "Lineage of the best"), h("p", { class: "soft" }, "From its ancestors on the left. Click one to watch it."), lineage(run.lineage ?? [], index, (each) => void this.#watch(each)));
   }
 
-  async #watch(candidate: number | "best"): Promise<void> {
+  /** Shows a candidate live. The world is made anew for each, so that one is staged after the other. */
+  #watch(candidate: number | "best"): Promise<void> {
     this.#watching?.abort();
-    const watching = (this.#watching = new AbortController());
-    const { signal } = watching;
-    this.view.signal.addEventListener("abort", () => watching.abort());
+    this.#watching = new AbortController();
+    const signal = AbortSignal.any([this.view.signal, this.#watching.signal]);
     this.#chosen = candidate;
-    const world = worldName("run", this.name);
-    const title = candidate === "best" ? "The best, live" : `Candidate ${candidate}, live`;
     this.#stage.hidden = false;
-    fill(this.#stage, h("h2", {}, title), loading("the world"));
+    fill(this.#stage, h("h2", {}, live(candidate)), loading("the world"));
+    this.#staged = this.#staged.then(() => this.#put(candidate, signal));
+    return this.#staged;
+  }
+
+  async #put(candidate: number | "best", signal: AbortSignal): Promise<void> {
+    if (signal.aborted) return;
+    const world = worldName("run", this.name);
     try {
       const { creature, task, seed } = await stage(world, this.name, candidate);
       if (signal.aborted) return;
-      fill(this.#stage, h("h2", {}, title), h("p", { class: "soft" }, `In the world of ${task}, as seed ${seed} draws it.`), watch(world, creature, signal),
+      fill(this.#stage, h("h2", {}, live(candidate)), h("p", { class: "soft" }, `In the world of ${task}, as seed ${seed} draws it.`), watch(world, creature, signal),
         h("div", { class: "actions" }, action({ label: "From the start", icon: "reset", run: () => this.#watch(this.#chosen) }), h("a", { class: "button", href: address("worlds", world) }, "Open its world"),
           ...(candidate === "best" ? [] : this.#keeping(candidate))));
       this.#stage.scrollIntoView({ block: "nearest", behavior: "smooth" });
     } catch (error) {
-      fill(this.#stage, h("h2", {}, title), failure(error, () => void this.#watch(candidate)));
+      if (signal.aborted) return;
+      fill(this.#stage, h("h2", {}, live(candidate)), failure(error, () => void this.#watch(candidate)));
       announce(words(error));
     }
   }
@@ -271,6 +278,10 @@ export class RunView {
       return copy;
     });
   }
+}
+
+function live(candidate: number | "best"): string {
+  return candidate === "best" ? "The best, live" : `Candidate ${candidate}, live`;
 }
 
 /** A portrait of a genome: of one that grows, as the lab says that it has grown. */
