@@ -11,14 +11,13 @@ from __future__ import annotations
 import hmac
 import secrets
 from collections.abc import Collection
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Final
 
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import Request, cookie_parser
 from starlette.responses import FileResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -124,22 +123,14 @@ class _Locked:
             if name == b"authorization" and value[:7].lower() == b"bearer ":
                 given.append(value[7:].strip())
             elif name == b"cookie":
-                given += _cookie(value.decode("latin-1"), _cookie_name(scope))
+                cookies = cookie_parser(value.decode("latin-1"))  # of which those of other programs may be any text
+                given.append(cookies.get(_cookie_name(scope), "").encode())
         return any(hmac.compare_digest(each, self._token) for each in given)
 
 
 def _cookie_name(scope: Scope) -> str:
     """Returns the name of the cookie, with the port in it: of a name browsers keep one for all ports of a machine."""
     return f"nmes_lab_{scope['server'][1]}"
-
-
-def _cookie(header: str, name: str) -> list[bytes]:
-    """Returns the value of a cookie, if there is one."""
-    try:
-        cookies = SimpleCookie(header)
-    except CookieError:
-        return []
-    return [cookies[name].value.encode()] if name in cookies else []
 
 
 class _Headers:
