@@ -29,7 +29,6 @@ export class Link {
     private readonly signal: AbortSignal,
   ) {
     signal.addEventListener("abort", () => {
-      clearTimeout(this.#timer);
       clearInterval(this.#timer);
       this.#socket?.close();
     });
@@ -46,6 +45,7 @@ export class Link {
   }
 
   #dial(): void {
+    clearInterval(this.#timer);
     if (this.signal.aborted) {
       return;
     }
@@ -86,17 +86,21 @@ export class Link {
       if (left > 0) {
         this.#say(`The connection is lost. Trying again in ${left} s.`, this.#now());
       } else {
-        clearInterval(this.#timer);
-        this.#say("The connection is lost. Trying again …");
-        this.#dial();
+        this.#again();
       }
     };
     this.#timer = setInterval(count, 250);
     count();
   }
 
+  /** Dials, once: until that socket is lost too there is no button. */
+  #again(): void {
+    this.#say("The connection is lost. Trying again …");
+    this.#dial();
+  }
+
   #now(): HTMLElement {
-    return h("button", { class: "small", onclick: () => { clearInterval(this.#timer); this.#dial(); } }, "Now");
+    return h("button", { class: "small", onclick: () => this.#again() }, "Now");
   }
 
   #say(text: string, ...more: Child[]): void {

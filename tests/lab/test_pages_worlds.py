@@ -419,3 +419,8 @@ def test_a_lost_connection_is_told_and_comes_back(browser: Browser, lab: Lab) ->
         assert len(sockets) == 2
         before = frames(page)
         until(page, lambda: frames(page) > before + 5)
+        sockets[-1].close(code=1001)
+        page.get_by_role("button", name="Now").dblclick()
+        before = frames(page)
+        until(page, lambda: frames(page) > before + 5)
+        assert len(sockets) == 3
