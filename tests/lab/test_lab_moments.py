@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import orjson
 import pytest
 
 from browsers import Socket
@@ -17,7 +16,7 @@ from labs import Frame, running_lab
 from nmes.playback.watch import states
 from nmes.recording import Recording
 from nmes.world import World
-from recordings import Line, record, rewrite, send
+from recordings import misled, record, rewrite, send
 
 LONG = 1200  # ticks of one step
 WRONG = 20  # the frame that does not come out as recorded
@@ -107,17 +106,8 @@ def test_a_recording_that_fails_is_shown_up_to_there(tmp_path: Path) -> None:
         for _ in range(2 * WRONG):
             send(world, client, type="step")
 
-    def spoil(lines: list[Line]) -> list[Line]:
-        def spoiled(line: Line) -> Line:
-            about = orjson.loads(line.data) if line.topic == "ticks" else {}
-            if about.get("frame") != WRONG:
-                return line
-            return line._replace(data=orjson.dumps({**about, "digests": ["0" * len(about["digests"][0])]}))
-
-        return [spoiled(line) for line in lines]
-
     whole = record(tmp_path / "whole.mcap", play)
-    rewrite(whole, place(tmp_path), spoil)
+    rewrite(whole, place(tmp_path), lambda lines: misled(lines, WRONG))
     with player(tmp_path) as socket:
         for frame in (2 * WRONG, WRONG, WRONG + 1, WRONG):
             for _ in range(2):  # no less the second time

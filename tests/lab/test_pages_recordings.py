@@ -17,12 +17,13 @@ from nmes.playback.watch import watch
 from nmes.recording import Recording
 from nmes.world import World
 from processes import NMES
-from recordings import record, send
+from recordings import misled, record, rewrite, send
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 PUSHED, TICKS = 60, 150  # after how many ticks, and of how many
+WRONG = 20  # the frame of a recording that does not come out as recorded
 CUBE = "w.torso"
 MUJOCO = {"backend": "mujoco"}
 
@@ -40,8 +41,8 @@ def walked(force: float) -> Callable[[World, int], None]:
     return play
 
 
-def fed(world: World, client: int) -> None:
-    """An ecosystem in which food grows and is eaten."""
+def ticked(world: World, client: int) -> None:
+    """A world that ticks, in which food grows and is eaten if it is an ecosystem."""
     for _ in range(60):
         send(world, client, type="step")
 
@@ -60,8 +61,10 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     record(folder / "recordings" / "soft.mcap", walked(200.0), MUJOCO)
     record(folder / "recordings" / "hard.mcap", walked(900.0), MUJOCO)
     shutil.copy(folder / "recordings" / "soft.mcap", folder / "recordings" / "again.mcap")
+    whole = record(folder / "recordings" / "whole.mcap", ticked)
+    rewrite(whole, folder / "recordings" / "misled.mcap", lambda lines: misled(lines, WRONG))
     growing = {"places": [{"radius": 6}], "start": 30, "rate": 20, "most": 90}
-    record(folder / "recordings" / "pond.mcap", fed, {**config(food=growing), **MUJOCO})
+    record(folder / "recordings" / "pond.mcap", ticked, {**config(food=growing), **MUJOCO})
     with served_lab(folder) as running:
         yield running
 
@@ -161,3 +164,18 @@ def test_the_food_of_a_recording_is_that_of_its_moment(browser: Browser, lab: La
         for frame in (1, 30, 60, 1):
             line.fill(str(frame))
             page.locator(f".pane[data-frame='{frame}'] .stage[data-food='{foods[frame]}']").wait_for()
+
+
+def test_a_recording_that_does_not_come_out_as_recorded_is_shown_up_to_there(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "recordings/misled") as page:
+        line = page.get_by_label("Frame", exact=True)
+        page.wait_for_function("() => document.querySelector('[aria-label=Frame]').max === '60'")
+        for frame in (WRONG - 1, 2):
+            line.fill(str(WRONG + 5))
+            page.locator(".hud .badge", has_text=f"tick {WRONG} does not come out as recorded").wait_for()
+            line.fill(str(frame))
+            page.locator(f".pane[data-frame='{frame}']").wait_for()
+            assert not page.locator(".hud .badge").is_visible()
+        page.get_by_role("button", name="Play", exact=True).click()
+        page.locator(".hud .badge", has_text=f"tick {WRONG} does not come out as recorded").wait_for()
+        page.get_by_role("button", name="Play", exact=True).wait_for()  # it has come to a stop

@@ -207,6 +207,18 @@ def changed(lines: list[Line], at: int, data: bytes) -> list[Line]:
     return [*lines[:at], lines[at]._replace(data=data), *lines[at + 1 :]]
 
 
+def misled(lines: list[Line], frame: int) -> list[Line]:
+    """Returns the messages with another digest for a tick that stands in one of its own."""
+
+    def each(line: Line) -> Line:
+        about = orjson.loads(line.data) if line.topic == "ticks" else {}
+        if about.get("frame") != frame:
+            return line
+        return line._replace(data=orjson.dumps({**about, "digests": ["0" * len(about["digests"][0])]}))
+
+    return [each(line) for line in lines]
+
+
 def first(lines: list[Line], topic: str, after: int = 0) -> int:
     """Returns the index of the first message of a topic, from an index on."""
     return next(i for i, line in enumerate(lines) if i >= after and line.topic == topic)

@@ -331,8 +331,12 @@ export class Player {
       this.busy.hidden = false;
       this.busy.className = again ? "badge warn" : "badge bad";
       this.busy.textContent = again ? "catching up" : String(message["message"]);
-      if (again) {
-        this.asked = undefined;
+      const { asked } = this;
+      this.asked = undefined;
+      if (!again) {
+        this.stop();
+      }
+      if (again || asked !== this.wanted) {
         this.ask();
       }
     }
