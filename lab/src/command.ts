@@ -77,7 +77,7 @@ export interface Action {
   readonly bare?: boolean;
   /** What does the same without the page, as it is now. */
   readonly command?: () => Command;
-  /** What the button does; it is disabled until that is over. It shows `command` as done unless it throws. */
+  /** What the button does; it is disabled until that is over. `command` is shown as done unless it throws or returns false. */
   readonly run: () => Promise<unknown> | unknown;
 }
 
@@ -102,8 +102,8 @@ export function action({ label, icon: drawing, look = "plain", bare = false, com
     const same = command?.();
     button.setAttribute("aria-disabled", "true"); // not disabled, which would lose the focus
     try {
-      await run();
-      if (same !== undefined) {
+      const did = await run();
+      if (did !== false && same !== undefined) {
         done(same);
       }
     } catch (error) {

@@ -1,5 +1,5 @@
 /** What is around every page: header, navigation, the dock with commands, notices; and which page an address shows. */
-import { words } from "./api.js";
+import { state, words } from "./api.js";
 import { dock } from "./command.js";
 import { type Child, type Icon, fill, h, icon } from "./dom.js";
 import { theme, toggleTheme } from "./theme.js";
@@ -83,7 +83,7 @@ async function show(places: readonly Place[], links: ReadonlyMap<string, HTMLEle
   announce(place.title);
   const late = setTimeout(() => fill(root, loading(place.title)), 150);
   try {
-    const page = await place.load();
+    const [page] = await Promise.all([place.load(), state().catch(() => undefined)]); // command lines name the folder
     clearTimeout(late);
     if (!signal.aborted) {
       fill(root);

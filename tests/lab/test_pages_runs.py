@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import subprocess
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +15,7 @@ import pytest
 
 import nmes
 from lab_browser import PASSWORD, PATIENCE, Lab, opened, running_browser, serious, served_lab
+from nmes.evaluation import Task
 from nmes.evolution.run import Run
 from processes import NMES
 from recordings import busy, record
@@ -114,6 +117,22 @@ def test_another_run_is_begun_like_one_with_its_settings_changed(browser: Browse
     changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
     assert changed == {"budget", "seed", "options"}
     assert (after["budget"], after["seed"], after["options"]["population"]) == (2, before["seed"] + 1, 8)
+
+
+def test_the_command_line_of_a_run_has_all_that_it_is_begun_with(browser: Browser, lab: Lab) -> None:
+    (lab.folder / "tasks").mkdir(exist_ok=True)
+    own = {**Task.load("walk").document, "name": "own"}
+    (lab.folder / "tasks" / "own.json").write_text(json.dumps(own))
+    with opened(browser, lab, "evolve") as page:
+        page.get_by_label("Task").select_option("own")
+        assert f"--task {lab.folder}/tasks/own.json" in page.inner_text("code.as-command")
+        page.goto(lab.at("evolve?like=taught"))
+        page.get_by_label("Options of the algorithm, as JSON").wait_for()
+        words = shlex.split(page.inner_text("code.as-command"))
+        settings = settings_of(lab, "taught")
+        assert words[words.index("--every") + 1] == str(settings["every"])
+        options = [word.split("=") for before, word in pairwise(words) if before == "--set"]
+        assert {name: json.loads(value) for name, value in options} == settings["options"]
 
 
 def test_a_learning_is_begun_again_with_its_settings_changed(browser: Browser, lab: Lab) -> None:

@@ -189,7 +189,12 @@ def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: La
 
 def test_forces_are_drawn_on_demand(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "worlds/main") as page:
+        page.reload()  # no page was open before
         until(page, lambda: frames(page) > 5)
+        page.get_by_label("Pushes").check()
+        expected = f"nmes export {lab.folder}/recordings/main-*.mcap --to jsonl"
+        assert page.locator("#command").inner_text() == expected
+        page.get_by_label("Pushes").uncheck()
         stage = page.locator(".stage")
         assert (stage.get_attribute("data-contacts"), stage.get_attribute("data-motors")) == ("0", "0")
         for what, message in (("Contacts", '{"type":"get_world_state","sensors":true}'), ("Motors", '{"type":"batch"')):
@@ -199,6 +204,26 @@ def test_forces_are_drawn_on_demand(browser: Browser, lab: Lab) -> None:
             until(page, lambda attribute=attribute: int(stage.get_attribute(attribute) or 0) > 0)  # type: ignore[misc]
             page.get_by_label(what).uncheck()
             until(page, lambda attribute=attribute: stage.get_attribute(attribute) == "0")  # type: ignore[misc]
+
+
+def test_what_was_not_done_is_not_shown_as_done(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds") as page:
+        page.on("dialog", lambda dialog: dialog.dismiss())
+        page.get_by_role("button", name="Close main").click()
+        assert page.locator(".origin").inner_text() == "same as · message"
+        page.get_by_role("button", name="New world").click()
+        create = page.get_by_role("button", name="Create and watch")
+        create.click()  # it has no name yet
+        page.get_by_label("Name", exact=True).fill("main")
+        create.click()
+        page.locator("main [role=alert]", has_text="main").wait_for()
+        page.locator(".dock .past").wait_for(state="hidden")
+        assert page.locator(".origin").inner_text() == "same as · command line"
+        page.goto(lab.at("worlds/main"))
+        page.get_by_role("button", name="Reset").click()
+        page.get_by_role("button", name="Drop a cube").click()
+        page.get_by_text("done · message to main").wait_for()
+        assert page.locator(".dock .history li").count() == 1
 
 
 def test_names_with_markup_are_text(browser: Browser, lab: Lab) -> None:
@@ -337,7 +362,8 @@ def test_one_entry_of_a_leaderboard_is_verified(browser: Browser, lab: Lab, tmp_
         assert page.locator(".badge.good").count() == 1 and page.locator("tbody tr").count() == 2
         film = page.get_by_role("button", name="Film wave")
         film.hover()
-        page.get_by_text(re.compile(r"nmes render \S+dash.recordings/\w+.mcap -o \S+gif")).first.wait_for()
+        same = r"nmes render \S+dash.recordings/\w+.mcap -o \S+gif --to 8s --size 480x360 --fps 15$"
+        page.get_by_text(re.compile(same)).first.wait_for()
         if OPENGL:
             film.click()
             picture = page.get_by_alt_text("A film of wave on dash")

@@ -84,6 +84,12 @@ interface Settings {
   readonly reward?: string;
 }
 
+/** Settings of a run of learning, as the lab takes them. */
+interface Lesson extends Pick<Settings, "algorithm" | "seed" | "options" | "steps" | "every" | "reward" | "recordings"> {
+  readonly genome?: string;
+  readonly task?: string;
+}
+
 /** What a run is begun with. */
 class Form {
   readonly element = h("form", { class: "stack" });
@@ -228,20 +234,37 @@ class Form {
     const start = this.#start.value === RANDOM ? "random" : this.#kept();
     const from = this.#start.selectedOptions[0]?.text.endsWith("(ships)") || start === "random" ? start : `${this.folder}/genomes/${start}.json`;
     const algorithm = this.#algorithm.value;
+    const given = this.like === undefined ? [] : this.#like();
     if (algorithm === CLONE) {
       return line("nmes", "learn", ...this.#chosen().map((name) => `${this.folder}/recordings/${name}.mcap`), "--algorithm", CLONE, "--steps", this.#budget.value,
-        "--seed", this.#seed.value, "-o", `${this.folder}/runs/${this.#name.value}`);
+        "--seed", this.#seed.value, ...given, "-o", `${this.folder}/runs/${this.#name.value}`);
     }
     const archive = ARCHIVES.has(algorithm) ? MEASURES.flatMap((each) => ["--measure", `${each.expression} from ${each.low} to ${each.high} in ${each.cells}`]) : [];
+    const task = this.#taskName();
+    const own = this.all.some((each) => each.name === task && !each.ships);
     const objectives = algorithm === "nsga2" ? OBJECTIVES.flatMap((each) => ["--objective", each]) : [];
-    return line("nmes", this.#kind, from, "--task", this.#taskName(), "--algorithm", algorithm, this.#kind === "evolve" ? "--budget" : "--steps", this.#budget.value,
-      "--seed", this.#seed.value, ...archive, ...objectives, "-o", `${this.folder}/runs/${this.#name.value}`);
+    return line("nmes", this.#kind, from, "--task", own ? `${this.folder}/tasks/${task}.json` : task, "--algorithm", algorithm, this.#kind === "evolve" ? "--budget" : "--steps", this.#budget.value,
+      "--seed", this.#seed.value, ...given, ...archive, ...objectives, "-o", `${this.folder}/runs/${this.#name.value}`);
+  }
+
+  /** What a run of learning that is like another has of it, in the command line. */
+  #like(): string[] {
+    let lesson: Lesson;
+    try {
+      lesson = this.#lesson();
+    } catch {
+      return []; // who begins it is told what is wrong with the options
+    }
+    const { every, reward, options = {} } = lesson;
+    return [...(every === undefined ? [] : ["--every", String(every)]), ...(reward === undefined ? [] : ["--reward", reward]),
+      ...Object.entries(options).flatMap(([name, value]) => ["--set", `${name}=${JSON.stringify(value)}`])];
   }
 
   async #begin(): Promise<void> {
     if (!this.element.reportValidity()) return;
     const name = this.#name.value;
-    const settings = this.#kind === "learn" ? await this.#lesson() : this.#search();
+    const settings = this.#kind === "learn" ? this.#lesson() : this.#search();
+    if ("genome" in settings && this.#start.value === SAME) await put(`/genomes/${part(this.#kept())}`, this.like?.settings.genome);
     const job = await post<{ id: number; command: string }>("/runs", { kind: this.#kind, name, settings });
     done(job.command);
     location.hash = `${address("evolve", name)}?job=${job.id}`;
@@ -263,22 +286,20 @@ class Form {
   }
 
   /** Settings of learning; the genome of a run that it is to be like is kept among the genomes. */
-  async #lesson(): Promise<object> {
+  #lesson(): Lesson {
     const before = this.like?.kind === "learn" ? this.like.settings : undefined;
-    const amounts = { algorithm: this.#algorithm.value, steps: Number(this.#budget.value), seed: Number(this.#seed.value), ...(before === undefined ? {} : { options: this.#given(), every: before.every }) };
+    const amounts = { algorithm: this.#algorithm.value, steps: Number(this.#budget.value), seed: Number(this.#seed.value), ...(before === undefined ? {} : { options: this.#given(), ...(before.every === undefined ? {} : { every: before.every }) }) };
     if (this.#algorithm.value === CLONE) return { recordings: this.#chosen(), ...amounts };
-    const genome = this.#kept();
-    if (this.#start.value === SAME) await put(`/genomes/${part(genome)}`, before?.genome);
     const same = before !== undefined && this.#algorithm.value === before.algorithm;
     return {
-      genome, task: this.#taskName(), ...amounts,
+      genome: this.#kept(), task: this.#taskName(), ...amounts,
       ...(same && before.reward !== undefined ? { reward: before.reward } : {}),
     };
   }
 
-  #given(): unknown {
+  #given(): object {
     try {
-      return JSON.parse(this.#options.value);
+      return JSON.parse(this.#options.value) as object;
     } catch (error) {
       throw new Error(`options: this is no JSON: ${words(error)}`);
     }

@@ -1,6 +1,6 @@
 /** Leaderboards: scores, each with recordings that prove it, and the proof done again. */
-import { get, kept, part, post, state, words } from "../api.js";
-import { action, done, line } from "../command.js";
+import { get, kept, part, post, words } from "../api.js";
+import { action, line } from "../command.js";
 import { type Child, append, fill, h, icon, select } from "../dom.js";
 import { type Job, ended } from "../jobs.js";
 import { type View, empty, go, heading, load } from "../shell.js";
@@ -35,10 +35,7 @@ interface Verdict {
 export function open({ root, params, signal }: View): Promise<void> {
   const body = h("div", { class: "stack" });
   append(root, [heading("Leaderboard", "A score stands here with the recordings that prove it. Anybody can have them run again."), body]);
-  return load(body, "leaderboards", async () => {
-    await state(); // which says where the folder is
-    return (await get<{ items: { name: string }[] }>("/leaderboards", {}, signal)).items;
-  }, (boards) => {
+  return load(body, "leaderboards", async () => (await get<{ items: { name: string }[] }>("/leaderboards", {}, signal)).items, (boards) => {
     const [first] = boards;
     if (first === undefined) {
       return empty("No leaderboards yet", "A leaderboard is a file in the lab's folder. Score a creature with its recordings, then list them:",
@@ -83,15 +80,18 @@ function entries({ name, items }: Board, choice: HTMLElement, signal: AbortSigna
         const held = found.filter(({ verdict }) => verdict === "holds").length;
         told.textContent = entry === undefined ? `${held} of ${found.length} hold.` : `${entry.name} ${held === 1 ? "holds" : `does not hold: ${found[0]?.reason ?? ""}`}.`;
         draw();
+        return true;
       } catch (error) {
         told.textContent = signal.aborted ? "" : words(error);
+        return false;
       }
     },
   });
   const shown = h("div", {});
   const film = (entry: Entry): HTMLButtonElement => action({
     label: `Film ${entry.name}`, icon: "play", bare: true,
-    command: () => line("nmes", "render", ...entry.recordings.slice(0, 1).map((hash) => kept("leaderboards", `${name}.recordings`, `${hash}.mcap`)), "-o", kept("films", `${name}-${entry.id}.gif`)),
+    command: () => line("nmes", "render", ...entry.recordings.slice(0, 1).map((hash) => kept("leaderboards", `${name}.recordings`, `${hash}.mcap`)), "-o", kept("films", `${name.slice(0, 150)}-${entry.id}.gif`),
+      "--to", "8s", "--size", "480x360", "--fps", "15"),
     run: async () => {
       fill(shown, h("p", { class: "hint", role: "status" }, `${entry.name} is filmed …`));
       try {
@@ -101,13 +101,14 @@ function entries({ name, items }: Board, choice: HTMLElement, signal: AbortSigna
           throw new Error(job.lines.at(-1) ?? "it could not be filmed");
         }
         const file = `/api/films/${part(begun.film)}/file?job=${job.id}`;
-        done(job.command);
         fill(shown, h("figure", { class: "card stack film" }, h("img", { src: file, width: 480, height: 360, alt: `A film of ${entry.name} on ${entry.task}` }),
           h("figcaption", {}, `${entry.name} on ${entry.task}, from the recording that proves its score`),
           h("a", { class: "button", href: file, download: `${begun.film}.gif` }, icon("download", 18), "Download")));
         shown.scrollIntoView({ block: "nearest" });
+        return true;
       } catch (error) {
         fill(shown, h("p", { class: "bad" }, signal.aborted ? "" : words(error)));
+        return false;
       }
     },
   });

@@ -1,5 +1,5 @@
 /** Two recordings side by side, on one time line, with where they part. */
-import { kept, part, post, state, words } from "../api.js";
+import { kept, part, post, words } from "../api.js";
 import { action, line } from "../command.js";
 import { type Child, fill, h, icon, select } from "../dom.js";
 import { type Job, ended } from "../jobs.js";
@@ -119,8 +119,7 @@ export class Pair {
     return [inputs?.ticks, states?.tick].filter((frame) => frame !== undefined);
   }
 
-  private async compare(): Promise<void> {
-    await state(); // which says where the folder is
+  private async compare(): Promise<boolean> {
     fill(this.verdict, h("p", { class: "soft" }, "Laying them beside each other …"));
     try {
       const [one, other] = this.names;
@@ -136,8 +135,10 @@ export class Pair {
         this.jump(frame);
       }
       this.mark();
+      return true;
     } catch (error) {
       fill(this.verdict, h("p", { class: "bad" }, words(error)));
+      return false;
     }
   }
 

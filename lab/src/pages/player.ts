@@ -1,5 +1,5 @@
 /** One recording, played: a time line that scrubs, marks of what happened, and what can be done with it. */
-import { get, kept, part, post, socketUrl, state, words } from "../api.js";
+import { get, kept, part, post, socketUrl, words } from "../api.js";
 import { action, done, line } from "../command.js";
 import { Link } from "../connection.js";
 import { type Child, fill, h, icon, select } from "../dom.js";
@@ -151,7 +151,6 @@ export class Player {
 
   private async learn(): Promise<void> {
     try {
-      await state(); // which says where the folder is
       const about = await get<About>(`/recordings/${part(this.name)}`, {}, this.signal);
       this.about = { ...about, marks: gathered(about.marks) };
     } catch (error) {
@@ -186,8 +185,10 @@ export class Player {
         fill(verdict, h("p", { class: "soft" }, "Running it again …"));
         try {
           fill(verdict, judged(await ended(await post<Job>(`/recordings/${part(this.name)}/replay`), this.signal)));
+          return true;
         } catch (error) {
           fill(verdict, h("p", { class: "bad" }, words(error)));
+          return false;
         }
       },
     });

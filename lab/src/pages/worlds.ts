@@ -135,10 +135,12 @@ function closing(world: string, again: () => Promise<void>): HTMLElement {
     label: `Close ${world}`, icon: "trash", look: "ghost", bare: true,
     command: () => ({ message: { type: "auth", close: world } }),
     run: async () => {
-      if (confirm(`Close ${world} for good? Its recording stays.`)) {
-        await askHost({ close: world });
-        await again();
+      if (!confirm(`Close ${world} for good? Its recording stays.`)) {
+        return false;
       }
+      await askHost({ close: world });
+      await again();
+      return true;
     },
   });
   button.dataset["key"] = `close ${world}`;
@@ -181,13 +183,15 @@ function creation(signal: AbortSignal): HTMLElement {
     run: async () => {
       problem.textContent = "";
       if (!form.reportValidity()) {
-        return;
+        return false;
       }
       try {
         await askHost({ create: asked() });
         go("worlds", asked().world);
+        return true;
       } catch (error) {
         problem.textContent = words(error);
+        return false;
       }
     },
   });

@@ -1,5 +1,5 @@
 /** One run, as it goes on: its curve, its best, its archive, who comes from whom; and the champion in a world. */
-import { ApiError, get, kept, part, post, put, state, words } from "../api.js";
+import { ApiError, get, kept, part, post, put, words } from "../api.js";
 import { action, done, line } from "../command.js";
 import type { Genome } from "../creature/genome.js";
 import { portrait } from "../creature/portrait.js";
@@ -65,7 +65,6 @@ export class RunView {
         h("div", { class: "stack" }, this.#best)));
     for (const card of [this.#archive, this.#family, this.#stage]) card.hidden = true;
     fill(this.#best, loading("the run"));
-    await state(); // which says where the folder is
     await this.#look();
   }
 
@@ -146,11 +145,8 @@ export class RunView {
     const path = kept("runs", this.name);
     const like = h("a", { class: "button", href: `#/evolve?like=${encodeURIComponent(this.name)}` }, "Begin another like it");
     const steer = async (what: "pause" | "resume", more: { budget?: number } = {}): Promise<void> => {
-      const job = await post<{ id: number; command: string }>(`/runs/${part(this.name)}/${what}`, more);
-      if (what === "resume") {
-        this.#job = String(job.id);
-        done(job.command);
-      }
+      const job = await post<{ id: number }>(`/runs/${part(this.name)}/${what}`, more);
+      if (what === "resume") this.#job = String(job.id);
       await this.#look();
     };
     if (run.state === "running") return action({ label: "Pause", icon: "pause", run: () => steer("pause") });
