@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,7 +16,7 @@ from nmes.evolution.run_settings import RunSettings
 from nmes.genome import Genome
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, Route, WebSocketRoute
 
 MARKUP = "<img src=x onerror=alert(1)>"
 PHONE = {"width": 360, "height": 740}
@@ -249,3 +249,74 @@ def take(browser: Browser, lab: Lab, lesson: str) -> None:
         page.get_by_role("heading", name="Done").wait_for()
         show(page, lab, "lessons")
         page.get_by_text("done", exact=True).wait_for()
+
+
+PICTURES = """
+const {getContext} = HTMLCanvasElement.prototype;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  const {dataset} = document.documentElement;
+  if (kind === "webgl2") dataset.pictures = Number(dataset.pictures ?? 0) + 1;
+  return getContext.call(this, kind, ...more);
+};
+"""
+
+
+def test_a_page_that_is_left_before_its_genome_has_come_draws_nothing(browser: Browser, lab: Lab) -> None:
+    def count() -> int:
+        return int(page.locator("html").get_attribute("data-pictures") or 0)
+
+    with opened(browser, lab, "recordings") as page:
+        page.add_init_script(PICTURES)
+        page.reload()
+        held: list[Route] = []
+        page.route("**/api/genomes/walker", lambda route: held.append(route))
+        page.goto(lab.at("build/walker"))
+        while not held:
+            page.wait_for_timeout(50)
+        page.goto(lab.at("recordings"))
+        page.wait_for_selector("main .page[data-page=recordings] h1")
+        pictures = [count()]  # one looks at what the browser can do
+        with page.expect_response("**/api/genomes/walker"):
+            held[0].continue_()
+        page.wait_for_timeout(300)
+        pictures.append(count())
+        page.unroute("**/api/genomes/walker")
+        page.goto(lab.at("build/walker"))  # where it is waited for there is a picture
+        page.get_by_text("A good genome").wait_for()
+        assert [*pictures, count()] == [1, 1, 2]
+
+
+def test_a_lesson_that_is_left_while_a_creature_comes_is_watched_no_more(browser: Browser, lab: Lab) -> None:
+    held: list[Callable[[], None]] = []
+    watched: list[WebSocketRoute] = []
+
+    def carried(route: WebSocketRoute) -> None:
+        server = route.connect_to_server()
+
+        def passed(message: str | bytes) -> None:
+            if '"spawn_creature"' in str(message):
+                held.append(lambda: server.send(message))
+            else:
+                server.send(message)
+
+        route.on_message(passed)
+
+    def looked(route: WebSocketRoute) -> None:
+        watched.append(route)
+        route.connect_to_server()
+
+    with opened(browser, lab, "lessons") as page:
+        page.route_web_socket(re.compile("/ws$"), carried)
+        page.route_web_socket(re.compile("/ws/poses"), looked)
+        page.reload()
+        page.goto(lab.at("lessons/bodies"))
+        page.locator(".steps button").first.click()
+        while not held:
+            page.wait_for_timeout(50)
+        page.goto(lab.at("recordings"))
+        page.wait_for_selector("main .page[data-page=recordings] h1")
+        before = len(watched)
+        held[0]()
+        page.locator("#command", has_text='"type":"spawn_creature"').wait_for()
+        page.wait_for_timeout(300)
+        assert len(watched) == before

@@ -33,7 +33,9 @@ const HINTS: Record<Stamp, string> = {
 
 /** Opens the page: with a genome of that name, or a candidate of a run, or what was built last. */
 export async function open({ root, params, query, signal }: View): Promise<void> {
-  const workshop = new Workshop(await beginning(params[0], query), signal);
+  const genome = await beginning(params[0], query);
+  if (signal.aborted) return; // what is made with such a signal never ends
+  const workshop = new Workshop(genome, signal);
   fill(root, workshop.element);
   workshop.refresh();
 }

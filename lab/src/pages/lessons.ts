@@ -107,10 +107,10 @@ class Class implements Lab {
   }
 
   #show(creature: string | undefined): void {
+    this.view.signal.throwIfAborted();
     this.#watching?.abort();
-    const watching = (this.#watching = new AbortController());
-    this.view.signal.addEventListener("abort", () => watching.abort());
-    fill(this.#stage, watch(this.#world, creature, watching.signal));
+    this.#watching = new AbortController();
+    fill(this.#stage, watch(this.#world, creature, AbortSignal.any([this.view.signal, this.#watching.signal])));
   }
 
   // -- what steps can do --------------------------------------------------------------------------------------------
