@@ -21,7 +21,7 @@ export interface Pull {
 export interface StageEvents {
   /** A cube was clicked, or nothing (-1). */
   pick?(cube: number): void;
-  /** A cube is pulled; `null` when it is let go. Only where this is given can cubes be pulled. */
+  /** A cube is pulled, told anew with each frame that is shown; `null` when it is let go. Only where this is given can cubes be pulled. */
   pull?(pull: Pull | null): void;
   /** A point of the ground was double-clicked. */
   place?(point: Point): void;
@@ -92,7 +92,7 @@ export class Stage {
   private pace = 16; // ms between two drawings, about
   private last = 0;
   private framed = false; // whether the camera was set once
-  private pulled: { cube: number; local: THREE.Vector3; plane: THREE.Plane } | undefined;
+  private pulled: { cube: number; local: THREE.Vector3; plane: THREE.Plane; to?: THREE.Vector3 } | undefined;
 
   constructor(label: string, private readonly signal: AbortSignal, private readonly events: StageEvents = {}) {
     this.renderer = new THREE.WebGLRenderer({ antialias: !SOFTWARE, stencil: true, powerPreference: "high-performance" });
@@ -193,6 +193,7 @@ export class Stage {
       this.shift(this.centre().sub(before));
     }
     this.mark();
+    this.tug();
     this.request();
   }
 
@@ -533,12 +534,22 @@ export class Stage {
     if (pulled === undefined || to === null || to === undefined) {
       return;
     }
-    const turn = new THREE.Quaternion().fromArray(this.poses, pulled.cube * STRIDE + 3);
-    const grip = pulled.local.clone().applyQuaternion(turn).add(new THREE.Vector3(...this.position(pulled.cube)));
+    pulled.to = to;
+    this.tug();
+    this.request();
+  }
+
+  /** Pulls what is pulled, from where it was gripped and is now to where the pointer was last. */
+  private tug(): void {
+    if (this.pulled?.to === undefined) {
+      return;
+    }
+    const { cube, local, to } = this.pulled;
+    const turn = new THREE.Quaternion().fromArray(this.poses, cube * STRIDE + 3);
+    const grip = local.clone().applyQuaternion(turn).add(new THREE.Vector3(...this.position(cube)));
     replace(this.rope, [...grip.toArray(), ...to.toArray()]);
     this.rope.visible = true;
-    this.events.pull?.({ cube: pulled.cube, grip: grip.toArray(), to: to.toArray() });
-    this.request();
+    this.events.pull?.({ cube, grip: grip.toArray(), to: to.toArray() });
   }
 
   private release(): void {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import time
@@ -185,6 +186,56 @@ def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: La
         until(page, lambda: stage.get_attribute("data-pushes") == "0")
         position.filter(has_not_text=before).wait_for()
         assert json.loads(page.locator("#command").inner_text())["type"] == "apply_force"
+
+
+def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: Browser, lab: Lab) -> None:
+    sent: list[str | bytes] = []
+
+    def carried(route: WebSocketRoute) -> None:
+        server = route.connect_to_server()
+
+        def passed(message: str | bytes) -> None:
+            if '"apply_force"' in str(message):
+                sent.append(message)
+            server.send(message)
+
+        route.on_message(passed)
+
+    with opened(browser, lab, "worlds") as page:
+        page.route_web_socket(re.compile("/ws$"), carried)
+        page.reload()
+        page.get_by_role("button", name="New world").click()
+        page.get_by_label("Name", exact=True).fill("held")
+        page.get_by_role("button", name="Create and watch").click()
+        page.get_by_role("button", name="Drop a cube").click()
+        until(page, lambda: frames(page) > 3 and frame(page) > 90)  # it has come to rest
+        page.get_by_role("button", name="Show all").click()
+        page.wait_for_timeout(300)
+        box = page.locator("canvas").bounding_box()
+        assert box is not None
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.get_by_role("button", name="Push by dragging").click()
+        page.get_by_role("button", name="Pause").click()
+        page.get_by_role("button", name="Resume").wait_for()
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 60, y, steps=4)
+        page.wait_for_timeout(500)
+        assert sent == []  # they would all act in the next tick
+        page.mouse.up()
+        page.get_by_role("button", name="Resume").click()
+        page.get_by_role("button", name="Pause").wait_for()
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 60, y, steps=4)
+        with nmes.Client(port=lab.host_port, password=PASSWORD, world="held") as client:
+            (cube,) = client.get_world_state()["cubes"]
+            begun = frame(page)
+            until(page, lambda: frame(page) > begun + 180)
+            (moved,) = client.get_world_state()["cubes"]
+        page.mouse.up()
+        assert len(sent) > 10
+        assert 0.05 < math.dist(cube["position"], moved["position"]) < 3
 
 
 def test_forces_are_drawn_on_demand(browser: Browser, lab: Lab) -> None:

@@ -10,7 +10,6 @@ import { address, attempt, notify } from "../shell.js";
 import { Visit } from "../world.js";
 
 const LOOK = 1000; // ms between two looks at what the inspector shows
-const PULLS = 16; // ms between two forces while something is pulled
 const STIFFNESS = 45; // N/m for each kg that is pulled
 const STRONGEST = 400; // N for each kg
 
@@ -38,7 +37,8 @@ class Pane {
   private scene: Scene | undefined;
   private info: WorldInfo | undefined;
   private chosen: string | undefined;
-  private pulled: { pull: Pull; timer: number } | undefined;
+  private pulled: { pull: Pull; at: number } | undefined; // and the frame in which a force was sent last
+  private now = -1; // the frame that the world has told last
   private frames = 0;
   private known = 0; // creatures of the scene before
 
@@ -75,7 +75,7 @@ class Pane {
     this.element = this.layout(close);
     this.connect();
     const timer = setInterval(() => document.hidden || void this.look(), LOOK);
-    signal.addEventListener("abort", () => { clearInterval(timer); clearInterval(this.pulled?.timer); });
+    signal.addEventListener("abort", () => clearInterval(timer));
   }
 
   private message(message: object): Shown {
@@ -250,6 +250,11 @@ class Pane {
   }
 
   private tell(frame: number): void {
+    this.now = frame;
+    if (this.pulled !== undefined && this.pulled.at !== frame) {
+      this.pulled.at = frame;
+      void this.push();
+    }
     this.clock.textContent = `${(frame / this.rate()).toFixed(2)} s · ${frame.toLocaleString("en")}`;
   }
 
@@ -350,10 +355,12 @@ class Pane {
       h("a", { href: address("brain", this.world, name) }, "brain"))))];
   }
 
-  /** Pulls a cube towards the pointer, tick by tick, until it is let go. */
+  /**
+   * Pulls a cube towards the pointer, tick by tick, until it is let go: a force acts for one tick, and all that come
+   * before a tick act together. So one is sent for each that the world tells of, and one at first where it ticks by itself.
+   */
   private pull(pull: Pull | null): void {
     if (pull === null) {
-      clearInterval(this.pulled?.timer);
       if (this.pulled !== undefined) {
         done(this.message(this.force(this.pulled.pull)));
       }
@@ -361,8 +368,11 @@ class Pane {
     } else if (this.pulled !== undefined) {
       this.pulled.pull = pull;
     } else {
-      this.pulled = { pull, timer: setInterval(() => void this.push(), PULLS) };
+      this.pulled = { pull, at: this.now };
       preview(this.message(this.force(pull)));
+      if (this.info?.paused === false && this.info.mode !== "lockstep") {
+        void this.push();
+      }
     }
   }
 
@@ -371,7 +381,6 @@ class Pane {
       try {
         await this.visit.request(this.force(this.pulled.pull));
       } catch (error) {
-        clearInterval(this.pulled?.timer);
         this.pulled = undefined;
         notify(words(error), "bad");
       }
