@@ -74,8 +74,8 @@ def begin_command(folder: Folder, kind: Any, name: Any, settings: Any) -> list[s
         kind: `evolve` or `learn`.
         name: The run's.
         settings: Of evolution a document as `schemas/run.json` has it, its task and genomes by name or whole; of
-            learning `genome` and `task`, or for `clone` the names of `recordings`, and `algorithm`, `options`,
-            `steps`, `seed`, `reward` and `every`.
+            learning `genome` and `task` (by name, or the document), or for `clone` the names of `recordings`, and
+            `algorithm`, `options`, `steps`, `seed`, `reward` and `every`.
 
     Raises:
         LabError: There is such a run, or a name that means nothing.
@@ -87,7 +87,7 @@ def begin_command(folder: Folder, kind: Any, name: Any, settings: Any) -> list[s
     if target.exists():
         raise LabError("run_exists", f"there is a run called {name!r}: resume it, or choose another name", "name")
     if kind == "learn":
-        return [*_learn(folder, settings), "-o", str(target), "--json"]
+        return [*_learn(folder, name, settings), "-o", str(target), "--json"]
     document = {**settings, "format": settings.get("format", FORMAT)}
     if isinstance(document.get("task"), str):
         document["task"] = _document(task_source(folder, document["task"]))
@@ -116,7 +116,7 @@ def _document(source: str) -> Any:
     return parse_document(path.read_bytes()) if path.suffix == ".json" else source
 
 
-def _learn(folder: Folder, settings: Mapping[str, Any]) -> list[str]:
+def _learn(folder: Folder, name: str, settings: Mapping[str, Any]) -> list[str]:
     """Returns the command that begins a run of learning."""
     cloning = settings.get("algorithm") == "clone"
     known = {"algorithm", "steps", "seed", "every", "reward"}
@@ -133,13 +133,17 @@ def _learn(folder: Folder, settings: Mapping[str, Any]) -> list[str]:
         LearningSettings.read(document | stand_ins | {"recordings": paths})
         command = ["learn", *paths]
     else:
-        genome, task = genome_source(folder, settings.get("genome")), task_source(folder, settings.get("task", "walk"))
+        genome, task = genome_source(folder, settings.get("genome")), settings.get("task", "walk")
+        if not isinstance(task, dict):
+            task = task_source(folder, task)
         LearningSettings.read(document | {"genome": genome, "task": task})
+        if isinstance(task, dict):
+            task = str(folder.write("settings", name, text_of(task)))
         command = ["learn", genome, "--task", task]
-    for name in sorted(known & settings.keys()):
-        command += [f"--{name}", str(settings[name])]
-    for name, value in options.items():
-        command += ["--set", f"{name}={write_json(value).decode()}"]
+    for setting in sorted(known & settings.keys()):
+        command += [f"--{setting}", str(settings[setting])]
+    for option, value in options.items():
+        command += ["--set", f"{option}={write_json(value).decode()}"]
     return command
 
 

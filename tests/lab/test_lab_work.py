@@ -147,6 +147,7 @@ def test_settings_that_are_none_start_nothing(lab: RunningLab) -> None:
         {"genome": "walker", "options": {"x": 1}},
         {"genome": "walker", "steps": 0},
         {"genome": "x"},
+        {"genome": "walker", "task": {}},
         {"a": 1},
         {"algorithm": "clone"},
         {"algorithm": "clone", "recordings": []},

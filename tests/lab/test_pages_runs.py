@@ -149,6 +149,22 @@ def test_a_learning_is_begun_again_with_its_settings_changed(browser: Browser, l
     assert changed == {"seed", "options"} and after["options"]["rate"] == 0.001
 
 
+def test_a_learning_is_begun_again_on_a_task_of_elsewhere(browser: Browser, lab: Lab, tmp_path: Path) -> None:
+    task = tmp_path / "far.json"
+    task.write_text(json.dumps({**Task.load("walk").document, "name": "far", "duration": 2}))
+    learning = ["--task", str(task), "--steps", "64", "--set", "rows=2", "--set", "ticks=16", "-q"]
+    subprocess.run([NMES, "learn", "walker", *learning, "-o", str(lab.folder / "runs/far")], check=True)
+    with opened(browser, lab, "evolve/far") as page:
+        page.get_by_role("link", name="Begin another like it").click()
+        page.get_by_label("Name of the run").fill("far-again")
+        assert f"--task {lab.folder}/settings/far-again.json" in page.inner_text("code.as-command")
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text("64 of 64 steps").wait_for(timeout=4 * PATIENCE)
+        assert f"--task {lab.folder}/settings/far-again.json" in page.inner_text("#command")
+    before, after = settings_of(lab, "far"), settings_of(lab, "far-again")
+    assert {name for name in before if before[name] != after[name]} == {"seed"}
+
+
 def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: Lab) -> None:
     recorded = ["--task", "walk", "--seeds", "1", "--record", str(lab.folder / "recordings"), "--quiet"]
     subprocess.run([NMES, "eval", "walker", *recorded], check=True)
@@ -172,7 +188,15 @@ def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: L
         assert serious(page) == []
         page.get_by_role("button", name="Start").click()
         page.get_by_text(re.compile("[1-9][0-9,]* of 600 steps")).wait_for(timeout=4 * PATIENCE)
-    assert settings_of(lab, "copy")["algorithm"] == "clone"
+        assert settings_of(lab, "copy")["algorithm"] == "clone"
+        page.get_by_role("link", name="Begin another like it").click()
+        choice.locator("option", has_text="walker-").wait_for(state="attached")
+        page.get_by_label("Name of the run").fill("copy-again")
+        page.locator("code.as-command", has_text="walker-").wait_for()
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text(re.compile("[1-9][0-9,]* of 600 steps")).wait_for(timeout=4 * PATIENCE)
+    before, after = settings_of(lab, "copy"), settings_of(lab, "copy-again")
+    assert {name for name in before if before[name] != after[name]} == {"seed"}
 
 
 def test_a_run_that_fails_says_what_its_command_said(browser: Browser, lab: Lab) -> None:

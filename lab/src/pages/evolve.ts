@@ -87,7 +87,7 @@ interface Settings {
 /** Settings of a run of learning, as the lab takes them. */
 interface Lesson extends Pick<Settings, "algorithm" | "seed" | "options" | "steps" | "every" | "reward" | "recordings"> {
   readonly genome?: string;
-  readonly task?: string;
+  readonly task?: string | object;
 }
 
 /** What a run is begun with. */
@@ -118,8 +118,8 @@ class Form {
     const same = like !== undefined && (like.kind === "learn" || (like.settings.starts ?? []).length > 0);
     this.#start = select([...(same ? [[SAME, `as in ${like.name}`] as const] : []), [RANDOM, "random creatures"], ...options], same ? SAME : asked);
     const alone = all.filter((task) => (task.roles ?? []).length === 0).map((task) => [task.name, task.name] as const);
-    this.#task = select([...(like?.kind === "evolve" ? [[SAME, `${like.settings.task.name}, as in ${like.name}`] as const] : []), ...alone],
-      like === undefined ? query.get("task") ?? "walk" : like.kind === "evolve" ? SAME : like.settings.task.name);
+    this.#task = select([...(like === undefined ? [] : [[SAME, `${like.settings.task.name}, as in ${like.name}`] as const]), ...alone],
+      like === undefined ? query.get("task") ?? "walk" : SAME);
     this.#creature = [field("Begin with", this.#start), field("Task", this.#task)];
     this.#kind = like?.kind ?? "evolve";
     if (like !== undefined) {
@@ -186,7 +186,9 @@ class Form {
     this.#offered = true;
     try {
       const { items } = await get<{ items: readonly { name: string }[] }>("/recordings");
-      fill(this.#recordings, ...items.map(({ name }) => h("option", { value: name }, name)));
+      const before = new Set((this.like?.settings.recordings ?? []).map((path) => path.replace(/^.*\//, "").replace(/\.mcap$/, "")));
+      fill(this.#recordings, ...items.map(({ name }) => h("option", { value: name, selected: before.has(name) }, name)));
+      this.#update();
     } catch {
       this.#offered = false; // the next change of the form asks again
     }
@@ -242,8 +244,9 @@ class Form {
     const archive = ARCHIVES.has(algorithm) ? MEASURES.flatMap((each) => ["--measure", `${each.expression} from ${each.low} to ${each.high} in ${each.cells}`]) : [];
     const task = this.#taskName();
     const own = this.all.some((each) => each.name === task && !each.ships);
+    const source = this.#task.value === SAME ? `${this.folder}/settings/${this.#name.value}.json` : own ? `${this.folder}/tasks/${task}.json` : task;
     const objectives = algorithm === "nsga2" ? OBJECTIVES.flatMap((each) => ["--objective", each]) : [];
-    return line("nmes", this.#kind, from, "--task", own ? `${this.folder}/tasks/${task}.json` : task, "--algorithm", algorithm, this.#kind === "evolve" ? "--budget" : "--steps", this.#budget.value,
+    return line("nmes", this.#kind, from, "--task", source, "--algorithm", algorithm, this.#kind === "evolve" ? "--budget" : "--steps", this.#budget.value,
       "--seed", this.#seed.value, ...given, ...archive, ...objectives, "-o", `${this.folder}/runs/${this.#name.value}`);
   }
 
@@ -292,7 +295,7 @@ class Form {
     if (this.#algorithm.value === CLONE) return { recordings: this.#chosen(), ...amounts };
     const same = before !== undefined && this.#algorithm.value === before.algorithm;
     return {
-      genome: this.#kept(), task: this.#taskName(), ...amounts,
+      genome: this.#kept(), task: this.#task.value === SAME ? before?.task ?? "" : this.#task.value, ...amounts,
       ...(same && before.reward !== undefined ? { reward: before.reward } : {}),
     };
   }
