@@ -53,7 +53,7 @@ def test_each_moment_of_a_batch_has_its_own_scene(tmp_path: Path) -> None:
 
     record(place(tmp_path), play)
     with player(tmp_path) as socket:
-        shown = None
+        shown: Any = None
         for frame in (1, 2, 3, 2, 1, 3):
             texts, poses = moment(socket, frame)
             shown = texts.get("scene", shown)
