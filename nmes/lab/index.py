@@ -204,7 +204,7 @@ def _recording(folder: Folder, name: str) -> JsonObject:
 
 
 def _episode(recording: Recording) -> JsonObject:
-    """Returns what a recorded episode says that it is of, by their names: its creatures, and the task.
+    """Returns the names of the creatures and of the task of a recorded episode; None of what is no episode.
 
     Raises:
         DocumentError: Its task is no document.

@@ -170,7 +170,10 @@ class _Player:
         raise RecordingError("recording_damaged", f"the recording ends before frame {frame}")
 
     def _look(self, world: World) -> _Tick:
-        """Looks at the world after a tick, of which there may be very many in one step before any is asked for."""
+        """Returns the frame after a tick, and what is to be seen of it where it is near the one that is wanted.
+
+        One step may have very many ticks before any is asked for.
+        """
         near = self._wanted.frame <= world.ticks < self._wanted.frame + _AHEAD
         return world.ticks, self._see(world) if near else None
 
