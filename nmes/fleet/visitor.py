@@ -70,7 +70,7 @@ class Visitor(Connection):
             self.hang_up(self._verdict[0])
         elif self._carrying is None:
             self._transport.abort()
-        else:
+        elif not self._transport.is_closing():  # that of TLS is closed only once, by us or by the client's end
             self._transport.close()  # it writes first what was carried
 
     def connection_lost(self, error: Exception | None) -> None:
