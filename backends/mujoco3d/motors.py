@@ -75,21 +75,30 @@ class ActuatorBatch:
         self._log: StepLog | None = None
         self.last: tuple[StepLog, int] | None = None
         self._unsynced: dict[Joints, None] = {}  # those whose controls are newer than their parameters
-        self._idle: list[Joint] | None = None  # None: to be looked up
+        self._idle_targets: bytes | None = None  # None: to be looked up
 
     def forget(self) -> None:
         """Looks motors up again, since more than the target of a joint has changed."""
         self._motors.clear()
-        self._log = self._idle = None
+        self._log = self._idle_targets = None
+
+    def is_idle(self, joint: Joint) -> bool:
+        """Whether a hinge or slide has no control: its targets are nowhere but in its parameters."""
+        return joint.number not in self.compiled.actuator or joint.params.max_effort <= 0.0
+
+    def forget_idle_targets(self) -> None:
+        """Looks `idle_targets` up again."""
+        self._idle_targets = None
 
     @property
-    def idle(self) -> list[Joint]:
-        """The hinges and slides without a control: their targets are nowhere but in their parameters."""
-        if self._idle is None:
-            driven, each = self.compiled.actuator, self._joints.values()
-            moving = [joint for joint in each if joint.kind in ("hinge", "slide")]
-            self._idle = [j for j in moving if j.number not in driven or j.params.max_effort <= 0.0]
-        return self._idle
+    def idle_targets(self) -> bytes:
+        """The targets that are not 0 of joints that are idle, for a digest."""
+        if self._idle_targets is None:
+            idle = [j for j in self._joints.values() if j.kind in ("hinge", "slide") and self.is_idle(j)]
+            targets = [(j.number, j.params.target_velocity, j.params.target_position) for j in idle]
+            aimed = [each for each in targets if each[1] or each[2]]
+            self._idle_targets = repr(aimed).encode() if aimed else b""
+        return self._idle_targets
 
     def set_targets(self, joints: Joints, targets: Array) -> list[int] | None:
         """Sets the targets of motors; returns the bodies of the model that this wakes, None where it has to be slow."""

@@ -149,6 +149,8 @@ class MujocoSimulation(_Sensed):
         compiled = running.compiled
         if params == aimed:  # what controllers do at every tick
             changed.params = params
+            if running.motors.is_idle(changed):
+                running.motors.forget_idle_targets()
             if joint in compiled.actuator:
                 running.set_target(changed)
                 running.wake(compiled.body_index[changed.body1], compiled.body_index[changed.body2])
@@ -292,10 +294,7 @@ class MujocoSimulation(_Sensed):
             params = [joint.params for joint in structure.joints.values()]
             digest.update(repr([(p.target_velocity, p.target_position) for p in params]).encode())
         else:
-            targets = [(j.number, j.params.target_velocity, j.params.target_position) for j in running.motors.idle]
-            aimed = [each for each in targets if each[1] or each[2]]
-            if aimed:
-                digest.update(repr(aimed).encode())
+            digest.update(running.motors.idle_targets)
         if running.depenetration.bodies:
             digest.update(repr(sorted(running.depenetration.bodies)).encode())
             if running.depenetration.crowds.gliding:
