@@ -55,13 +55,15 @@ class FieldReader:
         """Reads the axis of a joint of some type as a unit vector.
 
         In a planar world a hinge turns about z and a slide moves in the plane; a conetwist twists about z where that is
-        its axis, and others do nothing with theirs.
+        its axis. Others do nothing with theirs, which is in the plane where it can be.
 
         Raises:
             WorldError: `invalid`: it has no direction.
         """
-        read = {"hinge": self.turn, "slide": self.position}.get(kind, vector)
+        read = {"hinge": self.turn, "conetwist": vector}.get(kind, self.position)
         unit = unit_vector(read(value))
+        if unit is None and kind in ("fixed", "pin"):
+            unit = unit_vector(vector(value))
         if unit is None:
             raise WorldError("invalid", "axis: must have a direction, and in a planar world one in it", "axis")
         return unit
