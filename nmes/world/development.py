@@ -173,8 +173,9 @@ class Development:
         """Returns the cube that was a part once, where it is loose and lies no farther off than it is long."""
         joint, base, held = growth.hold(creature, part)
         shape = next(each for each in creature.form.cubes if each.id == part)
+        owner = around.entities.cube(creature.cubes[creature.body.cubes[0].id]).player
         for name, cube in around.entities.cubes.items():
-            own = _called(name, creature, part) and cube.player == held.player and cube.size == shape.size
+            own = _called(name, creature, part) and cube.player == owner and cube.size == shape.size
             if own and not around.is_part(cube.body):
                 there, here = (around.entities.simulation.body_state(each.body) for each in (cube, held))
                 gap = minus(joint_where(joint, shape, there).anchor, joint_where(joint, base, here).anchor)

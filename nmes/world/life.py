@@ -192,10 +192,9 @@ class Life:
         Returns:
             What happened, as events; none, and nothing has changed, where the cube is no living creature's.
         """
-        for name in self._living:
-            creature = self._creatures.get(name)
-            if creature is not None and body in creature.bodies:
-                return [self._take_apart(name, frame, "diverged")]
+        for each in self.living:
+            if each.lives(self._creatures) and body in self._creatures.find(each.name).bodies:
+                return [self._take_apart(each.name, frame, "diverged")]
         return []
 
     def _take_apart(self, name: str, frame: int, cause: str) -> JsonObject:

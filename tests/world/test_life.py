@@ -249,6 +249,15 @@ def test_who_takes_the_name_of_one_that_is_gone_is_another() -> None:
     assert (living(world, client)[1]["creature"], living(world, client)[1]["energy"]) == ("x", 299)
 
 
+def test_who_takes_a_name_and_cannot_be_followed_is_not_the_one_that_is_gone() -> None:
+    world, _, events = taken()
+    assert world.life is not None
+    (cube,) = world.creature("x").cubes.values()
+    assert world.life.lose(world.entities.cube(cube).body, world.frame + 1) == []
+    run(world, 1)
+    assert [event["cause"] for event in events] == ["gone", "entered"]
+
+
 def test_who_takes_a_name_is_another_in_a_restored_ecosystem_too() -> None:
     world, _, _ = taken()
     other = World(world.config)
