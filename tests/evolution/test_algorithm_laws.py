@@ -10,8 +10,10 @@ import pytest
 
 from nmes.errors import DocumentError
 from nmes.evaluation import Task
+from nmes.evaluation.match_task import MatchTask
 from nmes.evolution.algorithm import Algorithm, Candidate, Measure, Problem, Score
 from nmes.evolution.algorithms import ALGORITHMS, algorithm_options, load_algorithm
+from nmes.evolution.algorithms.random_search import RandomSearch
 from nmes.evolution.run import Order
 from nmes.genome import Genome
 
@@ -175,3 +177,9 @@ def test_random_search_has_no_more_than_a_window_of_candidates_under_way() -> No
     assert len(asked) == 256
     order.tell(asked[0], Score(1.0))
     assert [index for index, _ in order.due()] == [256]
+
+
+def test_the_eras_of_random_search_in_co_evolution_are_as_long_as_they_are_said_to_be() -> None:
+    task = MatchTask.load("sumo")
+    search = RandomSearch(Problem(task, 1, role=next(iter(task.roles))), RandomSearch.Options())
+    assert search.needs(100_000) == 0

@@ -36,8 +36,8 @@ class RandomSearch(Algorithm):
         self._problem, self._best = problem, Best()
 
     def needs(self, index: int) -> int:
-        """Returns how many candidates must be told before: all but the window's, though none depends on another."""
-        return max(0, index - _WINDOW + 1)
+        """Returns how many candidates must be told before: all but a window's, though none depends on another."""
+        return 0 if self._problem.role else max(0, index - _WINDOW + 1)  # in co-evolution eras are windows
 
     def ask(self, index: int) -> Candidate:
         """Returns the candidate of this index; see `Algorithm`."""
