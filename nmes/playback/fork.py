@@ -59,6 +59,6 @@ def fork(
     except BaseException:
         with suppress(RecordingError):
             recorder.close()
-        recorder.path.unlink()  # half of a new file is of no use
+        recorder.path.unlink(missing_ok=True)  # half of a new file is of no use
         raise
     return recorder

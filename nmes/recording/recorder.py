@@ -125,9 +125,9 @@ class Recorder:
                 self.keyframe(past)
                 self.flush()  # a file that is there has its past: whoever goes on from it begins nowhere else
                 self.commit()
-        except RecordingError:
+        except BaseException:
             self._writer.close()
-            self.path.unlink()  # nothing of the history is in it yet
+            self.path.unlink(missing_ok=True)  # nothing of the history is in it yet
             raise
 
     # -- the journal -----------------------------------------------------------------------------------------------

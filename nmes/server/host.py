@@ -356,7 +356,10 @@ class Host(Reception):
 
     async def _flush(self) -> None:
         for hosted in list(self._awake):
-            await hosted.flush()
+            try:
+                await hosted.flush()
+            except Exception:  # of one, which must not keep the others from the disk
+                logger.exception("the recording of world %r cannot be flushed", hosted.name)
 
     async def _hibernate(self, idle: float) -> None:
         """Has worlds hibernate that nobody uses, a few at once: else they could be made faster than they sleep.

@@ -60,14 +60,15 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
         for path in paths:
             try:
                 recording = Recording(path)
-            except NmesError as error:
-                logger.warning("%s is left where it is: %s", path, error.message)
+                whole = PARENT not in recording.metadata or _has_its_past(path)
+            except (NmesError, ValueError) as error:  # one of its first keyframe, which nobody has judged
+                logger.warning("%s is left where it is: %s", path, getattr(error, "message", error))
                 continue
             name = recording.config["name"]
             if path.name in closed and name not in found:
                 ended.add(name)
             if name not in ended and name not in found:
-                if not _has_its_past(recording):
+                if not whole:
                     logger.warning("%s is left where it is: it ends before the frame from which it was to go on", path)
                     continue
                 found[name] = recording
@@ -76,9 +77,10 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
     return dict(sorted(found.items()))
 
 
-def _has_its_past(recording: Recording) -> bool:
+def _has_its_past(path: Path) -> bool:
     """Whether a recording that goes on from another came to the frame of that from which it does."""
-    frame = int(recording.metadata.get(PARENT, {}).get("frame", 0))
+    recording = Recording(path)  # of this one the first keyframe is kept in memory, and not of those that are found
+    frame = int(recording.metadata[PARENT]["frame"])
     return recording.start().frame >= frame or recording.last_frame >= frame  # the second is read to its end
 
 

@@ -342,7 +342,11 @@ class Reception(ABC):
     async def _inspect(self) -> None:
         now = monotonic()
         for connection in list(self._connections):
-            connection.inspect(now)
+            try:
+                connection.inspect(now)
+            except Exception:  # of one, which must not keep the others from being looked at
+                logger.exception("a connection cannot be looked at and is cut off")
+                connection.abort()
 
     async def _hang_up_on_all(self) -> None:
         """Hangs up on all connections; returns when they are gone."""

@@ -59,7 +59,9 @@ class Retention:
             writing: The recordings that are being written.
         """
         files, held = self._look()
-        spared = {path.resolve() for path in writing}  # whoever writes them may call the folder otherwise
+        folder, parents = self._folder.resolve(), {path.parent for path in writing}
+        here = {parent for parent in parents if parent.resolve() == folder}  # whoever writes may call it otherwise
+        spared = {path.name for path in writing if path.parent in here}
         total, freed = sum(file.size for file in files), 0
         removed: list[Path] = []
         for file in files:
@@ -67,7 +69,7 @@ class Retention:
             if not (old or self._exceeds(total - freed)):
                 continue
             path = self._folder / file.name
-            if path.resolve() in spared or file.name in held or not _finished(path, file, now):
+            if file.name in spared or file.name in held or not _finished(path, file, now):
                 continue
             try:
                 path.unlink()

@@ -555,6 +555,10 @@ def test_what_a_host_does_now_and_then_goes_on_after_it_failed(
     monkeypatch.setattr("nmes.server.host.SWEEP", 0.01)
     options: dict[str, Any] = {"hibernate_after": 0.01, "retention": Retention(tmp_path, 1, None)}
     limits = Limits(stall_timeout=0.04)
-    with served(record_to=tmp_path, flush_interval=0.02, limits=limits, **options) as server, server.peer():
-        until(lambda: called >= 3)
-    assert "ValueError: planted" in caplog.text and caplog.text.count("tries again") == 1
+    with (
+        served(record_to=tmp_path, flush_interval=0.02, limits=limits, **options) as server,
+        server.peer(),
+        server.peer(),
+    ):
+        until(lambda: called >= 4)  # of others too, where it is one of several that fails
+    assert caplog.text.count("ValueError: planted") == 1
