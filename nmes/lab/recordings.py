@@ -33,7 +33,9 @@ MOST: Final = 2000  # marks of a recording
 _BIRTHS: Final = {"creature_born": "birth", "creature_died": "death"}  # the marks of an ecosystem's events
 _NOT_FOUND: Final = 4404  # the code with which a WebSocket is closed
 _FURTHEST: Final = 1 << 53
-_AHEAD: Final = 300  # frames from the wanted one on that are kept of a step of many ticks
+_POSE: Final = 28  # bytes of a cube's pose
+_AHEAD: Final = 300  # frames from the wanted one on, at least, that are kept of a step of many ticks
+_KEPT: Final = 32 << 20  # bytes of poses that are kept of more
 _EVERYDAY: Final = ("get_", "ping", "step", "subscribe", "unsubscribe", "compute_reward", "apply_")
 """How commands begin of which there are too many to be marks."""
 
@@ -174,7 +176,8 @@ class _Player:
 
         One step may have very many ticks before any is asked for.
         """
-        near = self._wanted.frame <= world.ticks < self._wanted.frame + _AHEAD
+        ahead = max(_AHEAD, _KEPT // (_POSE * max(len(world.entities.cubes), 1)))
+        near = self._wanted.frame <= world.ticks < self._wanted.frame + ahead
         return world.ticks, self._see(world) if near else None
 
     def _see(self, world: World) -> _Sight:

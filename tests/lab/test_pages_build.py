@@ -99,7 +99,14 @@ def test_a_creature_is_built_with_the_keyboard_alone(browser: Browser, lab: Lab)
 
 
 def test_creatures_are_saved_under_names_of_any_script(browser: Browser, lab: Lab) -> None:
-    names = {"Жук": "Жук", "Кот": "Кот", "海 馬": "海-馬", "Z\u0065\u0301bre": "Zébre", "…": "creature"}
+    names = {
+        "Жук": "Жук",
+        "Кот": "Кот",
+        "海 馬": "海-馬",
+        "Z\u0065\u0301bre": "Zébre",
+        "…": "creature",
+        "鯨" * 100: "鯨" * 66,
+    }
     with opened(browser, lab, "build") as page:
         for name, file in names.items():
             page.get_by_label("Name", exact=True).fill(name)

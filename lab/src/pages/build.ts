@@ -21,6 +21,7 @@ interface Checked {
   } | null;
 }
 
+const LONGEST = 200; // bytes of the name of a file
 const SOON = 250; // ms after the last change that it is checked
 const DRAFT = "nmes-draft"; // under which the browser keeps what was not saved
 const HINTS: Record<Stamp, string> = {
@@ -239,7 +240,13 @@ class Workshop implements Shop {
   /** The name of its file: letters and digits of any script, and what the lab's folder takes of other characters. */
   #file(): string {
     const name = this.genome.name.normalize("NFC").replace(/[^\p{L}\p{N}_.-]+/gu, "-").replace(/^[.-]+/, "");
-    return [...name].slice(0, 100).join("") || "creature";
+    const bytes = new TextEncoder();
+    let short = ""; // file systems count bytes
+    for (const letter of [...name].slice(0, 100)) {
+      if (bytes.encode(short + letter).length > LONGEST) break;
+      short += letter;
+    }
+    return short || "creature";
   }
 
   async #save(): Promise<void> {

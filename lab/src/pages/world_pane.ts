@@ -37,7 +37,7 @@ class Pane {
   private scene: Scene | undefined;
   private info: WorldInfo | undefined;
   private chosen: string | undefined;
-  private pulled: { pull: Pull; at: number } | undefined; // and the frame in which a force was sent last
+  private pulled: { pull: Pull; at: number; sent: boolean; refused: boolean } | undefined; // `at`: in which frame a force was sent last
   private now = -1; // the frame that the world has told last
   private frames = 0;
   private known = 0; // creatures of the scene before
@@ -361,14 +361,11 @@ class Pane {
    */
   private pull(pull: Pull | null): void {
     if (pull === null) {
-      if (this.pulled !== undefined) {
-        done(this.message(this.force(this.pulled.pull)));
-      }
-      this.pulled = undefined;
+      void this.letGo();
     } else if (this.pulled !== undefined) {
       this.pulled.pull = pull;
     } else {
-      this.pulled = { pull, at: this.now };
+      this.pulled = { pull, at: this.now, sent: false, refused: false };
       preview(this.message(this.force(pull)));
       if (this.info?.paused === false && this.info.mode !== "lockstep") {
         void this.push();
@@ -376,14 +373,31 @@ class Pane {
     }
   }
 
+  /** Sends a force; what was refused once is not tried again until another cube is gripped. */
   private async push(): Promise<void> {
-    if (this.pulled !== undefined) {
+    const { pulled } = this;
+    if (pulled !== undefined && !pulled.refused) {
+      pulled.sent = true;
       try {
-        await this.visit.request(this.force(this.pulled.pull));
+        await this.visit.request(this.force(pulled.pull));
       } catch (error) {
-        this.pulled = undefined;
+        pulled.refused = true;
         notify(words(error), "bad");
       }
+    }
+  }
+
+  /** Ends a pull. Where the world stands still and nothing was sent, one force is, for the next tick. */
+  private async letGo(): Promise<void> {
+    const { pulled } = this;
+    if (pulled !== undefined && !pulled.sent) {
+      await this.push();
+    }
+    if (this.pulled === pulled) {
+      this.pulled = undefined;
+    }
+    if (pulled !== undefined && !pulled.refused) {
+      done(this.message(this.force(pulled.pull)));
     }
   }
 
