@@ -232,12 +232,16 @@ def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: 
         page.mouse.move(x + 60, y, steps=4)
         with nmes.Client(port=lab.host_port, password=PASSWORD, world="held") as client:
             (cube,) = client.get_world_state()["cubes"]
+
+            def way() -> float:
+                (moved,) = client.get_world_state()["cubes"]
+                return math.dist(cube["position"], moved["position"])
+
             begun = frame(page)
-            until(page, lambda: frame(page) > begun + 180)
-            (moved,) = client.get_world_state()["cubes"]
+            until(page, lambda: frame(page) > begun + 180 and way() > 0.02)  # the slower the page, the fewer pulls
+            assert way() < 3
         page.mouse.up()
         assert len(sent) > 10
-        assert 0.05 < math.dist(cube["position"], moved["position"]) < 3
 
 
 def test_forces_are_drawn_on_demand(browser: Browser, lab: Lab) -> None:

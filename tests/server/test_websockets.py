@@ -163,7 +163,7 @@ def test_wrong_passwords_are_throttled_together_with_those_over_tcp(monkeypatch:
 
 
 def test_a_request_that_does_not_come_is_not_waited_for() -> None:
-    with served(limits=Limits(auth_timeout=0.2)) as server:
+    with served(limits=Limits(auth_timeout=1.0)) as server:
         port = web_port(server)
         for said in (b"", b"GET /health HT", b"POST /health HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nx"):
             with socket.create_connection(("127.0.0.1", port)) as slow:
@@ -173,7 +173,7 @@ def test_a_request_that_does_not_come_is_not_waited_for() -> None:
                     pass
         with socket_to(port) as patient:  # but for what it may say
             patient.enter()
-            threading.Event().wait(0.5)
+            threading.Event().wait(1.5)
             assert patient.ask({"type": "ping"})["type"] == "pong"
         with socket_to(port) as silent:
             (error,), _ = silent.rest()
