@@ -109,9 +109,34 @@ def until(page: Page, happened: Callable[[], bool]) -> None:
         page.wait_for_timeout(50)
 
 
+def draw_on(page: Page) -> None:
+    """Waits until the world is drawn once more."""
+    stage = page.locator(".stage")
+
+    def drawn() -> int:
+        return int(stage.get_attribute("data-drawn") or 0)
+
+    before = drawn()
+    until(page, lambda: drawn() > before)
+
+
 def frame(page: Page) -> int:
     """Returns the frame of the world that is shown."""
     return int(page.locator(".clock").inner_text().split("·")[1].replace(",", ""))
+
+
+def dropped(page: Page, name: str) -> tuple[float, float]:
+    """Creates a world with a cube, and returns where it is on the page when it has come to rest."""
+    page.get_by_role("button", name="New world").click()
+    page.get_by_label("Name", exact=True).fill(name)
+    page.get_by_role("button", name="Create and watch").click()
+    page.get_by_role("button", name="Drop a cube").click()
+    until(page, lambda: frames(page) > 3 and frame(page) > 90)
+    page.get_by_role("button", name="Show all").click()
+    page.wait_for_timeout(300)
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
 def at_frame(page: Page, expected: int) -> None:
@@ -158,16 +183,7 @@ def test_a_world_is_watched_as_it_moves(browser: Browser, lab: Lab) -> None:
 def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "worlds/new") as page:
         page.goto(lab.at("worlds"))
-        page.get_by_role("button", name="New world").click()
-        page.get_by_label("Name", exact=True).fill("pushed")
-        page.get_by_role("button", name="Create and watch").click()
-        page.get_by_role("button", name="Drop a cube").click()
-        until(page, lambda: frames(page) > 3 and frame(page) > 90)  # it has come to rest
-        page.get_by_role("button", name="Show all").click()
-        page.wait_for_timeout(300)
-        box = page.locator("canvas").bounding_box()
-        assert box is not None
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        x, y = dropped(page, "pushed")
         page.mouse.click(x, y)
         position = page.locator(".facts dt", has_text="Position").locator("+ dd")
         position.wait_for()
@@ -204,16 +220,7 @@ def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: 
     with opened(browser, lab, "worlds") as page:
         page.route_web_socket(re.compile("/ws$"), carried)
         page.reload()
-        page.get_by_role("button", name="New world").click()
-        page.get_by_label("Name", exact=True).fill("held")
-        page.get_by_role("button", name="Create and watch").click()
-        page.get_by_role("button", name="Drop a cube").click()
-        until(page, lambda: frames(page) > 3 and frame(page) > 90)  # it has come to rest
-        page.get_by_role("button", name="Show all").click()
-        page.wait_for_timeout(300)
-        box = page.locator("canvas").bounding_box()
-        assert box is not None
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        x, y = dropped(page, "held")
         page.get_by_role("button", name="Push by dragging").click()
         page.get_by_role("button", name="Pause").click()
         page.get_by_role("button", name="Resume").wait_for()
@@ -238,7 +245,7 @@ def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: 
                 return math.dist(cube["position"], moved["position"])
 
             begun = frame(page)
-            until(page, lambda: frame(page) > begun + 180 and way() > 0.02)  # the slower the page, the fewer pulls
+            until(page, lambda: frame(page) > begun + 180 and way() > 0.05)  # the slower the page, the fewer pulls
             assert way() < 3
         page.mouse.up()
         assert len(sent) > 10
@@ -477,8 +484,7 @@ def test_scenes_that_are_gone_leave_no_textures_behind(browser: Browser, lab: La
             for number in range(8):
                 client.spawn_cube(cube_name=f"brief{number}", position=[30, 1, 2 * number])
                 cubes.get_by_text(str(len(client.get_world_state()["cubes"])), exact=True).wait_for()
-                drawn = int(page.locator(".stage").get_attribute("data-drawn") or 0)
-                until(page, lambda drawn=drawn: int(page.locator(".stage").get_attribute("data-drawn") or 0) > drawn)  # type: ignore[misc]
+                draw_on(page)
                 counts.append(int(page.locator("html").get_attribute("data-textures") or 0))
             for number in range(8):
                 client.despawn_cube(cube_name=f"brief{number}")
