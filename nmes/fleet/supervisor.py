@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
-from time import time
 from types import TracebackType
 from typing import Any, Self, cast
 
@@ -353,12 +352,7 @@ class Supervisor(Reception):
                 await self.open(name)
 
     async def _sweep(self, retention: Retention) -> None:
-        writing = {place.recording for place in self._places.values() if place.recording is not None}
-        writing |= {*self._kept.values()}
-        try:
-            await asyncio.to_thread(retention.sweep, time(), writing)
-        except OSError as error:
-            logger.warning("the folder of recordings cannot be gone through: %s", error)
+        await retention.tidy([*(place.recording for place in self._places.values()), *self._kept.values()])
 
     async def metrics_page(self) -> bytes:
         """Makes one page of those of all workers, each figure with the number of its worker."""

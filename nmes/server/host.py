@@ -12,7 +12,7 @@ import ssl
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from time import monotonic, time
+from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -387,12 +387,7 @@ class Host(Reception):
         await self._memory.tidy(len(self.worlds), let_go, idle=not self._awake, paced=paced)
 
     async def _sweep(self, retention: Retention) -> None:
-        writing = {hosted.recording for hosted in self.worlds.values() if hosted.recording is not None}
-        writing |= {*self._kept.values()}
-        try:
-            await asyncio.to_thread(retention.sweep, time(), writing)
-        except OSError as error:
-            logger.warning("the folder of recordings cannot be gone through: %s", error)
+        await retention.tidy([*(hosted.recording for hosted in self.worlds.values()), *self._kept.values()])
 
     @property
     def abandoned(self) -> bool:

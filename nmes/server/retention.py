@@ -7,11 +7,13 @@ removed; none that is being written, none that is held by a file beside it that 
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
+from time import time
 from typing import NamedTuple
 
 from nmes.recording.mcap_format import MAGIC
@@ -48,6 +50,17 @@ class Retention:
         self._days = days
         self._size = size
         self._over = False  # the log was told that all that is left is held
+
+    async def tidy(self, writing: Iterable[Path | None]) -> None:
+        """Sweeps in a thread, by the time that it is; if the folder cannot be gone through, the log tells.
+
+        Args:
+            writing: The recordings that are being written; None of a world that has none.
+        """
+        try:
+            await asyncio.to_thread(self.sweep, time(), {path for path in writing if path is not None})
+        except OSError as error:
+            logger.warning("the folder of recordings cannot be gone through: %s", error)
 
     def sweep(self, now: float, writing: Collection[Path]) -> list[Path]:
         """Removes what is too old, or too much; returns what was removed, in that order, and logs it.
