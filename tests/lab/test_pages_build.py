@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from lab_browser import Lab, opened, running_browser, serious, served_lab
+import nmes
+from lab_browser import PASSWORD, Lab, opened, running_browser, serious, served_lab
 from nmes.evaluation import Workers
 from nmes.evolution.run import Run
 from nmes.evolution.run_settings import RunSettings
@@ -236,6 +237,20 @@ def test_a_run_is_begun_paused_and_gone_on_with(browser: Browser, lab: Lab) -> N
 
 def test_the_first_lesson_does_what_it_says(browser: Browser, lab: Lab) -> None:
     take(browser, lab, "worlds")
+
+
+def test_a_lesson_waits_for_a_world_that_is_behind_the_clock(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "lessons/worlds") as page:
+        page.get_by_role("button", name="Drop a cube").click()
+        with nmes.Client(port=lab.host_port, password=PASSWORD, world="lesson-worlds") as client:
+            while "cube" not in [cube["cube_name"] for cube in client.get_world_state()["cubes"]]:
+                page.wait_for_timeout(10)
+            client.pause()
+            page.wait_for_timeout(2000)  # in which the cube would have come to rest
+            client.resume()
+        outcome = page.locator(".outcome.good, .outcome.bad")
+        outcome.wait_for()
+        assert "good" in (outcome.get_attribute("class") or ""), outcome.inner_text()
 
 
 @pytest.mark.long

@@ -12,6 +12,7 @@ import { address, announce, empty, heading, type View } from "../shell.js";
 import { Visit } from "../world.js";
 
 const DONE = "nmes-lessons"; // under which the browser keeps which lessons were done
+const PATIENCE = 30_000; // ms that a step waits for a world that does not tick
 
 export async function open(view: View): Promise<void> {
   const [id] = view.params;
@@ -140,8 +141,24 @@ class Class implements Lab {
   }
 
   async wait(seconds: number): Promise<void> {
-    await new Promise((resolve) => setTimeout(resolve, seconds * 1000));
+    let now = await this.#time();
+    const until = now + seconds;
+    for (let since = performance.now(); until - now > 1e-6; ) { // in a world that is behind the clock, waits longer
+      await new Promise((resolve) => setTimeout(resolve, Math.max(20, (until - now) * 1000)));
+      const before = now;
+      now = await this.#time();
+      if (now < before) throw new Error("The world was reset meanwhile. Do it once more.");
+      if (now > before) since = performance.now();
+      else if (performance.now() - since > PATIENCE) throw new Error("The world stands still. Let it run, and do it once more.");
+    }
+  }
+
+  /** The time of the lesson's world, s. */
+  async #time(): Promise<number> {
     this.view.signal.throwIfAborted();
+    const { t } = await this.#visit.request({ type: "get_world_state", cubes: [] });
+    this.view.signal.throwIfAborted();
+    return t;
   }
 
   genome(name: string): Promise<Genome> {
