@@ -33,7 +33,10 @@ _TYPES: Final[dict[str, np.dtype[Any]]] = {
     "tensor(float)": np.dtype(np.float32),
     "tensor(double)": np.dtype(np.float64),
 }
-_RANDOM: Final = {"Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"}
+_RANDOM: Final = {
+    *("Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"),
+    "Sampling",  # of the domain com.microsoft
+}
 
 # -- what is in the bytes ---------------------------------------------------------------------------------------------
 
@@ -47,10 +50,11 @@ _INSIDE: Final = {
     "sparse": {1: "tensor", 2: "tensor"},
     "tensor": {},
 }
-_OP_TYPE: Final = 4  # of a node
+_INPUT, _OP_TYPE = 1, 4  # of a node
 _DATA_TYPE, _EXTERNAL_DATA, _DATA_LOCATION, _RAW_DATA = 2, 13, 14, 9  # of a tensor
 _FLOAT_DATA, _DOUBLE_DATA = 4, 10
 _NUMBERS: Final = {(1, _RAW_DATA): "<f4", (1, _FLOAT_DATA): "<f4", (11, _RAW_DATA): "<f8", (11, _DOUBLE_DATA): "<f8"}
+_LAST_FIELD: Final = 2**29 - 1
 _DEEPEST: Final = 64
 _MOST_FIELDS: Final = 200_000  # of all messages; a model has some for each node and tensor
 
@@ -94,6 +98,8 @@ def message_fields(model: bytes, start: int, end: int) -> Iterator[_Field]:
     while at < end:
         tag, at = read_varint(model, at, end)
         number, wire = divmod(tag, 8)
+        if number > _LAST_FIELD:  # other readers cut off the bits above, and see another field
+            raise ValueError(f"there is no field {number}")
         value, at = read_varint(model, at, end) if wire in (0, 2) else (0, at)
         begin = at
         if wire not in (0, 1, 2, 5):
@@ -120,6 +126,9 @@ def _look(model: bytes, kind: str, start: int, end: int, contents: _Contents, we
     if kind == "node":
         names = {model[begin:stop].decode(errors="replace") for number, _, begin, stop in fields if number == _OP_TYPE}
         contents.random |= names & _RANDOM
+        inputs = [stop > begin for number, _, begin, stop in fields if number == _INPUT]
+        if any(inputs[2:]):  # the third tells a Dropout whether it is in training
+            contents.random |= names & {"Dropout"}
     if kind == "tensor":
         contents.external |= any(
             number == _EXTERNAL_DATA or (number == _DATA_LOCATION and value) for number, value, _, _ in fields
@@ -172,6 +181,8 @@ def _session(model: bytes) -> Any:
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.use_deterministic_compute = True
+    # Not in a format of its own, which a model may have too, and which nobody here has looked through.
+    options.add_session_config_entry("session.load_model_format", "ONNX")
     options.log_severity_level = 4  # what is wrong is raised, and need not be printed too
     try:
         return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import base64
+import struct
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from brain_documents import DT, MOTORS, SENSORS, load
@@ -79,6 +82,9 @@ RANDOM = model(
 # The same, in the body of a function of the model's.
 HIDDEN = model([], [], [], []) + field(25, field(1, "f") + field(7, node("Bernoulli", ["x"], ["y"])))
 NESTED = node("If", ["x"], ["y"], field(5, field(1, "then_branch") + field(6, field(1, node("Multinomial", [], [])))))
+TRAINING = node("Dropout", ["x", "", "training"], ["y"])
+# The number of the field with the operator's name has 33 bits, which onnxruntime cuts off after 32.
+OVERLONG = field(1, "x") + field(2, "y") + b"\xa2\x80\x80\x80\x10" + field(4, "RandomNormalLike")[1:]
 
 
 @pytest.mark.parametrize(
@@ -93,6 +99,9 @@ NESTED = node("If", ["x"], ["y"], field(5, field(1, "then_branch") + field(6, fi
         (RANDOM, "draws random numbers (RandomNormalLike)"),
         (HIDDEN, "draws random numbers (Bernoulli)"),
         (model([NESTED], [], [], []), "draws random numbers (Multinomial)"),
+        (model([node("Sampling", [], [])], [], [], []), "draws random numbers (Sampling)"),
+        (model([TRAINING], [], [], []), "draws random numbers (Dropout)"),
+        (model([OVERLONG], [], [], []), "is no ONNX model: there is no field 536870916"),
         (layer(W, B, way="external"), "keeps numbers in other files"),
         (layer(W[:2], B), "has 2 inputs, and there must be 3, one for each entry of inputs"),
         (layer(W[:, :1], B[:1]), "has 1 outputs, and there must be 2, one for each entry of outputs"),
@@ -121,6 +130,52 @@ def test_an_unsuitable_model_is_refused(made: bytes, words: str | None, capfd: p
         caught.value.problems
     )
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_dropout_that_knows_no_training_does_nothing() -> None:
+    made = model(
+        [node("Dropout", ["x", "ratio"], ["y"])],
+        [tensor("ratio", 0.5)],
+        [value_info("x", FLOAT, [1, 2])],
+        [value_info("y", FLOAT, [1, 2])],
+    )
+    brain = load(document(made, inputs=["hip.position", "root.up.y"]))
+    brain.reset(0, DT)
+    assert brain.step(np.array([0.5, 0, 0, -0.25, 0])).tolist() == [0, -0.25, -0.25, 0, 0.5]
+
+
+def test_a_model_in_onnxruntime_s_own_format_is_refused_unread(tmp_path: Path) -> None:
+    options = onnxruntime.SessionOptions()
+    options.optimized_model_filepath = str(tmp_path / "model.ort")
+    options.log_severity_level = 4
+    options.add_session_config_entry("session.save_model_format", "ORT")
+    sides = [[value_info(name, FLOAT, [1, 3])] for name in "xy"]
+    onnxruntime.InferenceSession(model([node("RandomNormalLike", ["x"], ["y"])], [], *sides), options)
+    made = as_protobuf((tmp_path / "model.ort").read_bytes())
+    onnxruntime.InferenceSession(made)  # which left alone takes it
+    with pytest.raises(DocumentError, match="brain/model: onnxruntime refuses it"):
+        load(document(made))
+
+
+def as_protobuf(table: bytes) -> bytes:
+    """Returns a model in onnxruntime's own format, a FlatBuffer, as one that is a message of Protobuf too.
+
+    Such a file begins with where its root lies: that is put where its bytes are a field's, and so on to one that is as
+    long as all the rest.
+    """
+    root, room = 0x8018, 0x8100
+    (before,) = struct.unpack_from("<I", table)
+    (back,) = struct.unpack_from("<i", table, before)
+    (end,) = struct.unpack_from("<H", table, before - back)
+    made = bytearray(struct.pack("<I", root) + table[4:8] + bytes(room) + table[8:])
+    struct.pack_into("<i", made, root, root - (before - back + room))
+    for (slot,) in struct.iter_unpack("<H", table[before - back + 4 : before - back + end]):
+        if slot:  # else the root leaves that out
+            (to,) = struct.unpack_from("<I", table, before + slot)
+            struct.pack_into("<I", made, root + slot, before + room + to - root)
+    rest = len(made) - 95
+    made[91:95] = bytes([2 << 3 | 2, rest & 127 | 128, rest >> 7 & 127 | 128, rest >> 14])
+    return bytes(made)
 
 
 def test_a_deeply_nested_model_is_refused() -> None:
