@@ -23,7 +23,7 @@ from layout import ROOT
 from nmes.brain import load_brain
 from nmes.errors import DocumentError
 from nmes.schemas.documents import parse_document
-from onnx_models import FLOAT, layer, model, node, value_info
+from onnx_models import FLOAT, INT64, field, layer, model, node, tensor, value_info
 
 pytestmark = pytest.mark.skipif(GO is None, reason="Go is not installed: the Go client was not built and not run")
 
@@ -127,8 +127,8 @@ def _documents() -> Iterator[Any]:
     """Yields documents of which each is wrong in a way of its own."""
     one = [{"motor": "m0"}]
     yield from (None, 3, "sine", [], {}, {"kind": 3}, {"kind": "sinus"}, {"kind": "mlp"})
-    for field, value in (("phase", 100.5), ("phase", -100.5), ("frequency", -0.01), ("amplitude", 10.1)):
-        yield {"kind": "sine", "oscillators": [{"motor": "*", field: value}]}
+    for name, value in (("phase", 100.5), ("phase", -100.5), ("frequency", -0.01), ("amplitude", 10.1)):
+        yield {"kind": "sine", "oscillators": [{"motor": "*", name: value}]}
     yield from ({"kind": "sine", "oscillators": part} for part in ([], [{"motor": ""}], [{"motor": "*" * 129}]))
     yield {"kind": "sine", "oscillators": [{"motor": f"m{i}"} for i in range(40)]}
     yield {"kind": "sine", "oscillators": [{"motor": "*"}] * 1025}
@@ -226,11 +226,112 @@ def test_a_document_with_one_other_value_is_judged_as_python_judges_it() -> None
     assert _SPOILED // 4 < refused < _SPOILED
 
 
+def _wide(*nodes: bytes) -> list[bytes]:
+    """Returns a graph's nodes: those, and around them one from x to y."""
+    return [*nodes, node("Identity", ["x"], ["y"])]
+
+
+def _tensors(**shapes: list[int]) -> list[bytes]:
+    return [tensor(name, np.ones(shape)) for name, shape in shapes.items()]
+
+
+_SHAPE = "8 axes, none of them of 0"
+_LONG = "takes more than 67108864 products"
+_CONSTANT = "the shape of a Reshape must be constant, and of int64"
+_HOSTILE: dict[str, tuple[list[bytes], list[bytes], str]] = {
+    "rows of nothing": (_wide(node("MatMul", ["a", "b"], ["c"])), _tensors(a=[1 << 10, 0], b=[0, 0]), _SHAPE),
+    "columns of nothing": (
+        _wide(node("Gemm", ["a", "b"], ["c"], field(5, field(1, "transA") + field(3, 1)))),
+        _tensors(a=[9, 9], b=[9, 0]),
+        _SHAPE,
+    ),
+    "nine axes": (_wide(node("Add", ["a", "x"], ["c"])), _tensors(a=[1] * 9), _SHAPE),
+    "nine axes of a Reshape": (
+        _wide(node("Reshape", ["a", "shape"], ["c"])),
+        [*_tensors(a=[1]), tensor("shape", [1] * 9, INT64)],
+        _SHAPE,
+    ),
+    "axes that are walked over and over": (
+        _wide(*(node("Add", ["a", "b"], [f"c{i}"]) for i in range(120))),
+        _tensors(a=[1] * 7 + [1 << 16], b=[1]),
+        _LONG,
+    ),
+    "numbers that are read over and over": (
+        _wide(*(node("Clip", ["a"], [f"c{i}"]) for i in range(1025))),
+        _tensors(a=[1 << 16]),
+        _LONG,
+    ),
+    "a shape that is computed": (
+        _wide(node("Add", ["x", "a"], ["s"]), node("Reshape", ["x", "s"], ["c"])),
+        [tensor("a", [3, 1, 1])],  # which it fits while the sensors read 0
+        _CONSTANT,
+    ),
+    "a shape of floats": (
+        _wide(
+            node("Constant", [], ["s"], field(5, field(1, "value") + field(5, tensor("", [3])))),
+            node("Reshape", ["x", "s"], ["c"]),
+        ),
+        [],
+        _CONSTANT,
+    ),
+    "a shape that becomes another": (
+        _wide(node("Add", ["x", "a"], ["s"]), node("Reshape", ["x", "s"], ["c"])),
+        [tensor("s", [3], INT64), *_tensors(a=[3])],
+        'there are two of "s"',
+    ),
+    "a Dropout in training": (
+        _wide(node("Dropout", ["x", "", "a"], ["c"])),
+        _tensors(a=[]),
+        "draws random numbers (Dropout)",
+    ),
+}
+
+
+def _three(nodes: list[bytes], tensors: list[bytes], shape: tuple[int, ...] = (3,)) -> dict[str, Any]:
+    """Returns a document of a model from three sensors to three motors."""
+    sides = [[value_info(name, FLOAT, list(shape))] for name in "xy"]
+    return {"kind": "onnx", "model": b64encode(model(nodes, tensors, *sides)).decode()}
+
+
+def _problem(document: dict[str, Any]) -> tuple[str, str]:
+    """Returns the one problem of a document, a place and what is wrong there; nothing of one that is taken."""
+    found = _of_go([_line(json.dumps(document).encode(), *_BODY)])[0].get("problems", [("", "")])
+    ((place, message),) = found
+    return place, message
+
+
+@pytest.mark.parametrize(("nodes", "tensors", "words"), _HOSTILE.values(), ids=_HOSTILE)
+def test_a_model_that_would_take_too_long_or_fail_later_is_refused(
+    nodes: list[bytes], tensors: list[bytes], words: str
+) -> None:
+    place, message = _problem(_three(nodes, tensors))
+    assert place == "model" and words in message
+
+
+@pytest.mark.parametrize("shape", [(3, 0), (1, 1, 1, 1, 1, 1, 1, 1, 3)])
+def test_inputs_of_a_model_have_a_shape_that_a_tensor_may_have(shape: tuple[int, ...]) -> None:
+    place, message = _problem(_three(_wide(), [], shape))
+    assert place == "model" and f"of its inputs, a tensor may have {_SHAPE}" in message
+
+
+def test_a_model_may_have_as_many_axes_as_is_said_and_shapes_that_are_constant() -> None:
+    shape = node("Constant", [], ["s"], field(5, field(1, "value") + field(5, tensor("", [1] * 7 + [-1], INT64))))
+    nodes = [
+        shape,
+        node("Reshape", ["x", "s"], ["r"]),
+        node("Dropout", ["r", "half"], ["d"]),
+        node("Reshape", ["d", "t"], ["y"]),
+    ]
+    document = _three(nodes, [tensor("t", [3], INT64), tensor("half", 0.5)])
+    drawn = Drawn(document, *_BODY, seed=0, dt=0.1, sensors=[[0.0, 0.5, -0.25], [5.0, 0.0, 0.125]])
+    assert _of_go([json.dumps(drawn._asdict())])[0]["controls"] == [[0, 0.5, -0.25], [1, 0, 0.125]]
+
+
 def test_an_operator_that_does_not_run_is_named_and_so_are_those_that_do() -> None:
     nodes = [node("Erf", ["x"], ["y"])]
     erf = model(nodes, [], [value_info("x", FLOAT, [1, 3])], [value_info("y", FLOAT, [1, 3])])
     document = {"kind": "onnx", "model": b64encode(erf).decode()}
-    ((_, message),) = _of_go([_line(json.dumps(document).encode(), *_BODY)])[0]["problems"]
+    _, message = _problem(document)
     assert message.startswith('is no ONNX model that runs here: the operator "Erf" is not among those that run here: ')
     (listed,) = re.findall(r"a set of operators runs, that of feedforward policies:(.*?);", _PAGE, flags=re.DOTALL)
     assert re.findall(r"`(\w+)`", listed) == message.rpartition(": ")[2].split(", ")

@@ -4,14 +4,15 @@ import (
 	"encoding/base64"
 	"errors"
 	"fmt"
+	"maps"
 	"math"
 	"slices"
 	"strings"
 )
 
-const mostProducts = 1 << 26 // and other results, in one step of a model
+const mostProducts = 1 << 26 // and numbers that are read for something else, in one step of a model
 
-var errLong = fmt.Errorf("a step of it takes more than %d products and other results", mostProducts)
+var errLong = fmt.Errorf("a step of it takes more than %d products and other numbers", mostProducts)
 
 // node is an operator of a model, and what it is applied to.
 type onnxNode struct {
@@ -69,6 +70,10 @@ func newONNX(document []byte, n *names) kernel {
 			m.shape[i] = 1
 		}
 	}
+	if size(m.shape) < 0 {
+		n.Add("model", "is no ONNX model that runs here: of its inputs, %v", errShape)
+		return nil
+	}
 	entries.expect("model", size(m.shape), &entries.inputs, "inputs")
 	if n.Err() != nil {
 		return nil
@@ -96,7 +101,7 @@ func (o *onnx) step(sensors, controls []float64) {
 	weigh(o.sums, o.heard, seen)
 	out, err := o.model.run(seen)
 	if err != nil {
-		panic(err) // it ran when the brain was loaded, and what it does to shapes depends on nothing else
+		panic(err) // it ran when the brain was loaded, and whether it does hangs on no numbers of the inputs: see judge
 	}
 	for i, value := range out {
 		if math.IsNaN(value) {
@@ -149,13 +154,40 @@ func readModel(file []byte) (*model, error) {
 			return nil, errors.New("it must have one tensor of floats or doubles for its inputs, and one for its outputs")
 		}
 	}
+	m.input, m.output, m.kind, m.shape = inputs[0].name, outputs[0].name, inputs[0].kind, inputs[0].shape
+	return m, m.judge()
+}
+
+// judge returns what is wrong with the nodes of a model. What they do to shapes may hang on nothing that is computed, so
+// that a step fails for all inputs or for none; and no name may be given twice, by which one could come to hang on it.
+func (m *model) judge() error {
+	named := map[string]bool{m.input: true}
+	constants := maps.Clone(m.initializers)
+	for name := range constants {
+		named[name] = true
+	}
 	for _, node := range m.nodes {
-		if operators[node.operator] == nil {
-			return nil, fmt.Errorf("the operator %q is not among those that run here: %s", node.operator, operatorNames())
+		switch {
+		case operators[node.operator] == nil:
+			return fmt.Errorf("the operator %q is not among those that run here: %s", node.operator, operatorNames())
+		case node.operator == "Dropout" && len(node.inputs) > 2 && node.inputs[2] != "": // it may be in training
+			return errors.New("draws random numbers (Dropout)")
+		case node.operator == "Reshape" && len(node.inputs) > 1:
+			if shape := constants[node.inputs[1]]; shape == nil || shape.kind != integer {
+				return errors.New("the shape of a Reshape must be constant, and of int64")
+			}
+		}
+		for _, name := range node.outputs {
+			if named[name] {
+				return fmt.Errorf("there are two of %q", name)
+			}
+			named[name] = true
+			if node.operator == "Constant" {
+				constants[name] = node.attributes["value"].tensor
+			}
 		}
 	}
-	m.input, m.output, m.kind, m.shape = inputs[0].name, outputs[0].name, inputs[0].kind, inputs[0].shape
-	return m, nil
+	return nil
 }
 
 // value is a model's input or output.
@@ -262,13 +294,16 @@ func (m *model) run(inputs []float64) ([]float64, error) {
 			if arguments[i] = known[name]; arguments[i] == nil && name != "" {
 				return nil, fmt.Errorf("%s: there is no %q before it", node.operator, name)
 			}
+			if arguments[i] != nil {
+				products += len(arguments[i].values)
+			}
+		}
+		if products > mostProducts {
+			return nil, errLong
 		}
 		result, err := operators[node.operator](arguments, node.attributes, &products)
 		if err != nil {
 			return nil, fmt.Errorf("%s: %w", node.operator, err)
-		}
-		if products += len(result.values); products > mostProducts {
-			return nil, errLong
 		}
 		if len(node.outputs) != 1 {
 			return nil, fmt.Errorf("%s: has %d outputs", node.operator, len(node.outputs))

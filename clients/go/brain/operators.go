@@ -11,7 +11,7 @@ import (
 	"nmes/internal/elementary"
 )
 
-// operator applies one to tensors; it counts products.
+// operator applies one to tensors. What it does besides reading them once it adds to products, before it does it.
 type operator func(arguments []*tensor, attributes map[string]attribute, products *int) (*tensor, error)
 
 var add = elementwise(func(a, b float64) float64 { return a + b })
@@ -60,7 +60,7 @@ func each(function func(float64) float64) operator {
 
 // elementwise applies a function of two numbers to tensors, of which each axis is as long as the other's, or 1.
 func elementwise(function func(a, b float64) float64) operator {
-	return func(arguments []*tensor, _ map[string]attribute, _ *int) (*tensor, error) {
+	return func(arguments []*tensor, _ map[string]attribute, products *int) (*tensor, error) {
 		if len(arguments) != 2 || arguments[0] == nil || arguments[1] == nil {
 			return nil, errArguments
 		}
@@ -73,7 +73,10 @@ func elementwise(function func(a, b float64) float64) operator {
 			}
 		}
 		if size(shape) < 0 {
-			return nil, fmt.Errorf("makes more than %d numbers", mostValues)
+			return nil, errShape
+		}
+		if *products += size(shape) * max(1, len(shape)); *products > mostProducts {
+			return nil, errLong
 		}
 		values := make([]float64, size(shape))
 		for i := range values {
@@ -127,12 +130,12 @@ func matMul(arguments []*tensor, _ map[string]attribute, products *int) (*tensor
 	}
 	shape := append(slices.Clone(a.shape[:len(a.shape)-1]), columns)
 	if size(shape) < 0 {
-		return nil, fmt.Errorf("makes more than %d numbers", mostValues)
+		return nil, errShape
 	}
-	values := make([]float64, size(shape))
-	if *products += len(values) * inner; *products > mostProducts {
+	if *products += size(shape) * inner; *products > mostProducts {
 		return nil, errLong
 	}
+	values := make([]float64, size(shape))
 	for row := range size(shape[:len(shape)-1]) {
 		out := values[row*columns : (row+1)*columns]
 		for k, x := range a.values[row*inner : (row+1)*inner] {
@@ -229,6 +232,9 @@ func reshape(arguments []*tensor, _ map[string]attribute, _ *int) (*tensor, erro
 		return nil, errArguments
 	}
 	of := arguments[0]
+	if len(arguments[1].values) > mostAxes {
+		return nil, errShape
+	}
 	shape, open := []int{}, -1
 	for i, each := range arguments[1].values {
 		length := int(within(-1, mostValues+1, each))

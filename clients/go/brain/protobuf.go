@@ -11,9 +11,13 @@ import (
 const (
 	mostFields = 200_000 // of all messages; a model has some for each node and tensor
 	mostValues = 1 << 24 // of all tensors together
+	mostAxes   = 8       // of a tensor
 )
 
-var errCut = errors.New("a field is longer than what holds it")
+var (
+	errCut   = errors.New("a field is longer than what holds it")
+	errShape = fmt.Errorf("a tensor may have %d axes, none of them of 0, and %d numbers in all", mostAxes, mostValues)
+)
 
 // protoField is a field of a message of Protobuf: a whole number, or bytes.
 type protoField struct {
@@ -36,8 +40,10 @@ func (r *protoReader) message(data []byte, take func(protoField) error) error {
 		if n <= 0 {
 			return errors.New("a number has no end")
 		}
-		data = data[n:]
-		field := protoField{number: int(min(key>>3, math.MaxInt32)), wire: int(key & 7)}
+		if data = data[n:]; key > math.MaxUint32 {
+			return fmt.Errorf("there is no field %d", key>>3)
+		}
+		field := protoField{number: int(key >> 3), wire: int(key & 7)}
 		size := uint64(0)
 		switch field.wire {
 		case 0, 2:
@@ -113,11 +119,15 @@ type tensor struct {
 	values []float64
 }
 
-// size returns how many values a shape has; -1 for more than there may be.
+// size returns how many values a shape has; -1 for one that a tensor may not have. Axes of 0 are among these: of
+// what has no values there could be any number of rows, at no cost that is counted.
 func size(shape []int) int {
+	if len(shape) > mostAxes {
+		return -1
+	}
 	count := 1
 	for _, each := range shape {
-		if each < 0 || each > mostValues || count*each > mostValues {
+		if each < 1 || each > mostValues || count*each > mostValues {
 			return -1
 		}
 		count *= each
@@ -171,7 +181,10 @@ func (r *protoReader) tensor(data []byte) (string, *tensor, error) {
 		}
 	}
 	count := size(result.shape)
-	if count < 0 || count != len(result.values) {
+	if count < 0 {
+		return "", nil, errShape
+	}
+	if count != len(result.values) {
 		return "", nil, fmt.Errorf("the tensor %q has %d numbers, which are not those of its shape", name, len(result.values))
 	}
 	if r.values += count; r.values > mostValues {
