@@ -314,6 +314,19 @@ def test_inputs_of_a_model_have_a_shape_that_a_tensor_may_have(shape: tuple[int,
     assert place == "model" and f"of its inputs, a tensor may have {_SHAPE}" in message
 
 
+def test_long_names_of_a_model_are_told_in_short() -> None:
+    name = "Erf" * 100_000
+    ones = np.ones(3)
+    for nodes, tensors in (
+        (_wide(node(name, ["x"], ["c"])), []),
+        (_wide(node("Abs", ["x"], [name]), node("Neg", ["x"], [name])), []),
+        (_wide(node("Abs", [name], ["c"])), []),
+        (_wide(), [tensor(name, ones) + field(1, 2)]),
+    ):
+        _, message = _problem(_three(nodes, tensors))
+        assert '"ErfErfErf' in message and len(message) < 1000
+
+
 def test_a_model_may_have_as_many_axes_as_is_said_and_shapes_that_are_constant() -> None:
     shape = node("Constant", [], ["s"], field(5, field(1, "value") + field(5, tensor("", [1] * 7 + [-1], INT64))))
     nodes = [

@@ -8,6 +8,8 @@ import (
 	"math"
 	"slices"
 	"strings"
+
+	"nmes/internal/documents"
 )
 
 const mostProducts = 1 << 26 // and numbers that are read for something else, in one step of a model
@@ -169,7 +171,7 @@ func (m *model) judge() error {
 	for _, node := range m.nodes {
 		switch {
 		case operators[node.operator] == nil:
-			return fmt.Errorf("the operator %q is not among those that run here: %s", node.operator, operatorNames())
+			return fmt.Errorf("the operator %s is not among those that run here: %s", documents.Excerpt(node.operator), operatorNames())
 		case node.operator == "Dropout" && len(node.inputs) > 2 && node.inputs[2] != "": // it may be in training
 			return errors.New("draws random numbers (Dropout)")
 		case node.operator == "Reshape" && len(node.inputs) > 1:
@@ -179,7 +181,7 @@ func (m *model) judge() error {
 		}
 		for _, name := range node.outputs {
 			if named[name] {
-				return fmt.Errorf("there are two of %q", name)
+				return fmt.Errorf("there are two of %s", documents.Excerpt(name))
 			}
 			named[name] = true
 			if node.operator == "Constant" {
@@ -292,7 +294,7 @@ func (m *model) run(inputs []float64) ([]float64, error) {
 		arguments := make([]*tensor, len(node.inputs))
 		for i, name := range node.inputs {
 			if arguments[i] = known[name]; arguments[i] == nil && name != "" {
-				return nil, fmt.Errorf("%s: there is no %q before it", node.operator, name)
+				return nil, fmt.Errorf("%s: there is no %s before it", node.operator, documents.Excerpt(name))
 			}
 			if arguments[i] != nil {
 				products += len(arguments[i].values)
@@ -311,7 +313,7 @@ func (m *model) run(inputs []float64) ([]float64, error) {
 		known[node.outputs[0]] = result
 	}
 	if known[m.output] == nil {
-		return nil, fmt.Errorf("there is no %q", m.output)
+		return nil, fmt.Errorf("there is no %s", documents.Excerpt(m.output))
 	}
 	return slices.Clone(known[m.output].values), nil
 }

@@ -5,6 +5,8 @@ import (
 	"errors"
 	"fmt"
 	"math"
+
+	"nmes/internal/documents"
 )
 
 // What a model's file may be.
@@ -185,7 +187,7 @@ func (r *protoReader) tensor(data []byte) (string, *tensor, error) {
 		return "", nil, errShape
 	}
 	if count != len(result.values) {
-		return "", nil, fmt.Errorf("the tensor %q has %d numbers, which are not those of its shape", name, len(result.values))
+		return "", nil, fmt.Errorf("the tensor %s has %d numbers, which are not those of its shape", documents.Excerpt(name), len(result.values))
 	}
 	if r.values += count; r.values > mostValues {
 		return "", nil, fmt.Errorf("it has more than %d numbers", mostValues)
