@@ -49,7 +49,7 @@ def _of_go(lines: Iterable[str]) -> list[dict[str, Any]]:
     """Returns what the program in Go answers to each line."""
     ran = go("run", "./brain/compute", told="".join(line + "\n" for line in lines))
     assert ran.returncode == 0, ran.stderr
-    return [json.loads(line) for line in ran.stdout.splitlines()]
+    return [json.loads(line, parse_int=float) for line in ran.stdout.splitlines()]  # -0 is a number of its own
 
 
 @cache
@@ -85,6 +85,16 @@ def test_a_thousand_drawn_brains_do_the_same_to_the_last_bit() -> None:
         if brain.document["kind"] != "onnx" and wanted != given
     ]
     assert not others, f"{len(others)} differ: {others[:10]}"
+
+
+def test_a_whole_number_of_minus_0_is_0_and_a_fraction_of_it_is_not() -> None:
+    for zero in ("-0", "-0.0", "-0e0"):
+        wave = f'{{"motor": "m0", "frequency": {zero}, "phase": {zero}, "offset": {zero}}}'
+        text = f'{{"kind": "sine", "oscillators": [{wave}]}}'
+        drawn = Drawn(parse_document(text.encode()), *_BODY, seed=0, dt=0.1, sensors=[[0.0] * 3] * 2)
+        told = {"document_text": text} | {key: value for key, value in drawn._asdict().items() if key != "document"}
+        (answer,) = _of_go([json.dumps(told)])
+        assert [struct.pack("3d", *row) for row in answer["controls"]] == _expected(drawn), zero
 
 
 def test_who_does_without_brains_and_genomes_links_no_function_of_the_notice() -> None:

@@ -124,6 +124,9 @@ func read(decoder *json.Decoder, text []byte, depth int) (any, error) {
 		if err != nil {
 			return nil, errors.New("a number is too large for a double")
 		}
+		if token == "-0" { // a whole number, which has no sign
+			return 0.0, nil
+		}
 		return number, nil
 	case string:
 		return token, whole(token, text[begin:decoder.InputOffset()])
