@@ -65,6 +65,7 @@ type Client struct {
 	options Options
 	welcome *AuthSuccess
 	conn    *conn
+	closes  int // how many times it was closed: who enters, and finds that it was meanwhile, leaves again
 }
 
 // Dial connects and enters a world.
@@ -77,16 +78,20 @@ func Dial(ctx context.Context, address string, options Options) (*Client, error)
 		return nil, err
 	}
 	client := &Client{address: address, entering: make(chan struct{}, 1), options: options}
-	if err := client.enter(ctx); err != nil {
+	if err := client.enter(ctx, 0); err != nil {
 		return nil, err
 	}
 	return client, nil
 }
 
-func (c *Client) enter(ctx context.Context) error {
+// enter connects and enters, unless the client is closed more often than that.
+func (c *Client) enter(ctx context.Context, closes int) error {
 	c.mu.Lock()
-	options := c.options
+	options, closed := c.options, c.closes != closes
 	c.mu.Unlock()
+	if closed {
+		return errClosed
+	}
 	connection, err := open(ctx, c.address, options.TLS)
 	if err != nil {
 		return err
@@ -104,6 +109,10 @@ func (c *Client) enter(ctx context.Context) error {
 	}
 	c.mu.Lock()
 	defer c.mu.Unlock()
+	if c.closes != closes {
+		connection.close()
+		return errClosed
+	}
 	c.conn, c.welcome = connection, welcome
 	if welcome.Token != "" {
 		c.options.Token = welcome.Token
@@ -120,9 +129,11 @@ func (c *Client) Welcome() AuthSuccess {
 
 // Reconnect closes the connection and enters again: in a world with roles as the same player, while the server runs.
 // Subscriptions and objectives are gone; commands that wait for replies fail, and Events gives a new channel. Of those
-// who call it at once, one enters, and the others share his connection.
+// who call it at once, one enters, and the others share his connection. One that Close is called in fails.
 func (c *Client) Reconnect(ctx context.Context) error {
-	before := c.current()
+	c.mu.Lock()
+	before, closes := c.conn, c.closes
+	c.mu.Unlock()
 	select {
 	case c.entering <- struct{}{}:
 		defer func() { <-c.entering }()
@@ -133,11 +144,15 @@ func (c *Client) Reconnect(ctx context.Context) error {
 		return nil
 	}
 	before.close()
-	return c.enter(ctx)
+	return c.enter(ctx, closes)
 }
 
-// Close ends the connection; commands that wait for replies fail. It may be called more than once.
+// Close ends the connection; commands that wait for replies fail, as does Reconnect that is under way. It may be called
+// more than once.
 func (c *Client) Close() error {
+	c.mu.Lock()
+	c.closes++
+	c.mu.Unlock()
 	c.current().close()
 	return nil
 }

@@ -370,7 +370,7 @@ func (c *conn) ended(err error) {
 	case c.closed:
 		c.lose(&Disconnected{"world_closed", "the server closed the world"})
 	case errors.Is(err, net.ErrClosed):
-		c.lose(&Disconnected{"closed", "the client was closed"})
+		c.close()
 	default:
 		c.lose(&Disconnected{"disconnected", fmt.Sprintf("the server closed the connection: %v", err)})
 	}
@@ -460,7 +460,9 @@ func (c *conn) lose(err error) bool {
 	return false
 }
 
-func (c *conn) close() { c.lose(&Disconnected{"closed", "the client was closed"}) }
+var errClosed = &Disconnected{"closed", "the client was closed"}
+
+func (c *conn) close() { c.lose(errClosed) }
 
 func (c *conn) failure() error {
 	c.mu.Lock()

@@ -44,13 +44,7 @@ func pretend(t *testing.T, piece int, answers ...string) string {
 			return
 		}
 		defer socket.Close()
-		frames := bufio.NewScanner(socket)
-		frames.Split(func(data []byte, end bool) (int, []byte, error) {
-			if at := bytes.Index(data, []byte(delimiter)); at >= 0 {
-				return at + len(delimiter), data[:at], nil
-			}
-			return 0, nil, nil
-		})
+		frames := framesOf(socket)
 		for _, answer := range answers {
 			if !frames.Scan() {
 				return
@@ -63,6 +57,65 @@ func pretend(t *testing.T, piece int, answers ...string) string {
 		}
 	}()
 	return listener.Addr().String()
+}
+
+func framesOf(socket net.Conn) *bufio.Scanner {
+	frames := bufio.NewScanner(socket)
+	frames.Split(func(data []byte, end bool) (int, []byte, error) {
+		if at := bytes.Index(data, []byte(delimiter)); at >= 0 {
+			return at + len(delimiter), data[:at], nil
+		}
+		return 0, nil, nil
+	})
+	return frames
+}
+
+func TestAClientThatIsClosedWhileItReconnectsIsClosed(t *testing.T) {
+	listener, err := net.Listen("tcp", "127.0.0.1:0")
+	if err != nil {
+		t.Fatal(err)
+	}
+	defer listener.Close()
+	var client *nmes.Client
+	entered := make(chan error, 1)
+	// Lets somebody in who enters, and calls what happens before he is told.
+	greet := func(enter func() error, before func()) *bufio.Scanner {
+		go func() { entered <- enter() }()
+		socket, err := listener.Accept()
+		if err != nil {
+			t.Fatal(err)
+		}
+		t.Cleanup(func() { socket.Close() })
+		frames := framesOf(socket)
+		if !frames.Scan() {
+			t.Fatal(frames.Err())
+		}
+		before()
+		if _, err := socket.Write([]byte(welcome + delimiter)); err != nil {
+			t.Fatal(err)
+		}
+		return frames
+	}
+	reconnect := func() error { return client.Reconnect(within(t)) }
+	greet(func() (err error) {
+		client, err = nmes.Dial(within(t), listener.Addr().String(), nmes.Options{Password: password})
+		return err
+	}, func() {})
+	if err := <-entered; err != nil {
+		t.Fatal(err)
+	}
+	frames := greet(reconnect, func() { client.Close() })
+	if err := <-entered; !nmes.IsCode(err, "closed") || !nmes.IsCode(client.Err(), "closed") {
+		t.Fatal(err, client.Err())
+	}
+	if frames.Scan() { // until the client hangs up
+		t.Fatal(frames.Text())
+	}
+	greet(reconnect, func() {})
+	if err := <-entered; err != nil || client.Err() != nil {
+		t.Fatal(err, client.Err())
+	}
+	client.Close()
 }
 
 func TestFramesMayComeInAnyPiecesAndEventsBetweenReplies(t *testing.T) {

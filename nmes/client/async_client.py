@@ -33,6 +33,7 @@ class AsyncClient(ClientBase, AsyncCommands):
     """
 
     _link: _Link | None = None
+    _closes = 0  # how many times it was closed: who enters, and finds that it was meanwhile, leaves again
 
     @cached_property
     def _entering(self) -> asyncio.Lock:
@@ -56,15 +57,17 @@ class AsyncClient(ClientBase, AsyncCommands):
         Raises:
             CommandFailed: The server refused it: `auth_failed`, `invalid`, `role_not_found`, `too_many_connections`,
                 `host_draining`, `world_not_found` or `world_unavailable`.
-            Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
+            Disconnected: Nothing listens there (`unreachable`), the server closed the connection, or `close` was called
+                meanwhile (`not_connected`).
             RuntimeError: The client is connected already.
             TimeoutError: No reply came in time.
         """
+        closes = self._closes
         async with self._entering:
-            return await self._join()
+            return await self._join(closes)
 
-    async def _join(self) -> Self:
-        self._entered(await self._enter(world=self.world, role=self.role, token=self.token))
+    async def _join(self, closes: int) -> Self:
+        self._entered(await self._enter(closes, world=self.world, role=self.role, token=self.token))
         return self
 
     async def worlds(self) -> list[WorldSummary]:
@@ -128,14 +131,15 @@ class AsyncClient(ClientBase, AsyncCommands):
     async def _ask_host_once(self, **options: Any) -> tuple[list[WorldSummary], int | None]:
         other = AsyncClient(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
         try:
-            return world_list(await other._enter(**options), next(iter(options)))
+            return world_list(await other._enter(other._closes, **options), next(iter(options)))
         finally:
             await other.close()
 
-    async def _enter(self, **options: Any) -> Any:
-        """Connects and authenticates; returns the server's answer."""
+    async def _enter(self, closes: int, **options: Any) -> Any:
+        """Connects and authenticates, unless the client is closed more often than that; returns the server's answer."""
         if self._link is not None:
             raise RuntimeError("the client is connected already; reconnect() starts anew")
+        self._unless_closed(closes)
         conversation = self._new_conversation()
         loop = asyncio.get_running_loop()
         try:
@@ -149,13 +153,18 @@ class AsyncClient(ClientBase, AsyncCommands):
             raise self._unreachable(error) from error
         self._conversation = conversation
         data, answer = conversation.authenticate(self._password, **options)
-        self._link.transport.write(data)
         try:
+            self._unless_closed(closes)
+            self._link.transport.write(data)
             await self._reply(answer)
             return answer.result()
         except BaseException:
-            await self.close()
+            await self._leave()
             raise
+
+    def _unless_closed(self, closes: int) -> None:
+        if self._closes != closes:
+            raise _closed()
 
     async def reconnect(self) -> Self:
         """Closes the connection and connects anew, as another client of the world; with roles, as the same player.
@@ -165,21 +174,29 @@ class AsyncClient(ClientBase, AsyncCommands):
 
         Raises:
             CommandFailed: The server refused it, as at `connect`.
-            Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
+            Disconnected: Nothing listens there (`unreachable`), the server closed the connection, or `close` was called
+                meanwhile (`not_connected`).
             TimeoutError: No reply came in time.
         """
-        before = self._welcome
+        before, closes = self._welcome, self._closes
         async with self._entering:
             if self._link is not None and self._welcome is not before:
                 return self
-            await self.close()
-            return await self._join()
+            await self._leave()
+            return await self._join(closes)
 
     async def close(self) -> None:
-        """Closes the connection; the cubes that this client spawned stay in the world."""
+        """Closes the connection; the cubes that this client spawned stay in the world.
+
+        Tasks that connect or reconnect meanwhile come to nothing.
+        """
+        self._closes += 1
+        await self._leave()
+
+    async def _leave(self) -> None:
         if self._link is not None:
             link, self._link = self._link, None
-            self._conversation.lose(Disconnected("not_connected", "the client was closed"))
+            self._conversation.lose(_closed())
             link.transport.abort()  # else a server that does not read, or says no farewell in TLS, would keep us
             await link.closed.wait()
 
@@ -272,6 +289,10 @@ class AsyncClient(ClientBase, AsyncCommands):
                 await future
         except TimeoutError as error:
             raise self._late() from error
+
+
+def _closed() -> Disconnected:
+    return Disconnected("not_connected", "the client was closed")
 
 
 class _Link(asyncio.BufferedProtocol):

@@ -556,6 +556,33 @@ async def test_tasks_that_enter_at_once_make_one_connection(server: Served) -> N
     await client.close()
 
 
+@pytest.mark.parametrize("tasks", [1, 3])
+async def test_a_client_that_is_closed_while_it_enters_is_closed(server: Served, tasks: int) -> None:
+    outcomes: list[Any] = []
+    client = async_client(server)
+    async with async_client(server) as other:
+        for turns in range(1, 25):
+            await client.reconnect()
+            entering = asyncio.gather(*(client.reconnect() for _ in range(tasks)), return_exceptions=True)
+            for _ in range(turns):  # of the event loop, in each of which connecting may come further
+                await asyncio.sleep(0)
+            await client.close()
+            outcomes += await entering
+            with pytest.raises(Disconnected, match="the client was closed"):
+                await client.ping()
+        lost = [outcome for outcome in outcomes if outcome is not client]
+        assert lost and {str(outcome) for outcome in lost} == {"the client was closed"}
+        while (await other.get_world_info())["counts"]["clients"] > 1:
+            pass
+        connecting = asyncio.ensure_future(client.connect())
+        await asyncio.sleep(0)
+        await client.close()
+        with pytest.raises(Disconnected, match="the client was closed"):
+            await connecting
+        assert await (await client.connect()).ping() == {"type": "pong"}
+        await client.close()
+
+
 async def test_events_can_be_awaited(server: Served) -> None:
     seen: list[Event] = []
     async with async_client(server) as client, async_client(server, on_event=seen.append) as other:

@@ -45,8 +45,10 @@ interface Waiting {
 export class Client extends Commands {
   #welcome!: AuthSuccess;
   #connection!: Connection;
+  #newest!: Connection; // the one that was dialled last: that same one, but while somebody enters
   #token: string | undefined;
   #entering: Promise<void> | undefined; // while somebody reconnects
+  #closes = 0; // how many times it was closed: who has dialled, and finds that it was meanwhile, does not enter
 
   private constructor(
     private readonly dial: Dial,
@@ -64,7 +66,13 @@ export class Client extends Commands {
   }
 
   async #enter(): Promise<void> {
+    const closes = this.#closes;
     const connection = new Connection(await this.dial());
+    if (this.#closes !== closes) {
+      connection.lose(closed());
+      throw closed();
+    }
+    this.#newest = connection;
     const { password, world, role } = this.options;
     try {
       this.#welcome = await connection.authenticate({ type: "auth", password, world, role, token: this.#token });
@@ -122,20 +130,34 @@ export class Client extends Commands {
   /**
    * Closes the connection and enters again: in a world with roles as the same player, while the server runs.
    * Subscriptions, objectives and events that were not read are gone. Of those who call it at once, one enters, and the
-   * others share his connection.
+   * others share his connection. It fails when close is called meanwhile.
    */
   reconnect(): Promise<void> {
     if (this.#entering === undefined) {
       this.close();
-      this.#entering = this.#enter().finally(() => (this.#entering = undefined));
+      const entering = this.#enter().finally(() => {
+        if (this.#entering === entering) {
+          this.#entering = undefined;
+        }
+      });
+      this.#entering = entering;
     }
     return this.#entering;
   }
 
-  /** Ends the connection; commands that wait for replies fail. It may be called more than once. */
+  /**
+   * Ends the connection; commands that wait for replies fail, as does a reconnect that is under way. It may be called
+   * more than once.
+   */
   close(): void {
-    this.#connection.lose(new Disconnected("closed", "the client was closed"));
+    this.#closes++;
+    this.#entering = undefined; // who reconnects from here on enters himself
+    this.#newest.lose(closed());
   }
+}
+
+function closed(): Disconnected {
+  return new Disconnected("closed", "the client was closed");
 }
 
 /** One connection in the json dialect: it numbers commands and matches replies, which come in their order. */

@@ -173,6 +173,69 @@ class Loop implements Transport {
   close(): void {}
 }
 
+/** Ends the turn of the event loop, and with it all that follows from what was resolved. */
+const turn = (): Promise<void> => new Promise((resolve) => setImmediate(resolve));
+
+/** A transport that notes whether it was closed, and answers when it is told to. */
+class Slow extends Loop {
+  closed = false;
+  override send(frame: string): void {
+    this.sent.push(JSON.parse(frame) as { id: number });
+  }
+  answer(): void {
+    this.receiver.frame('{"type":"auth_success","client":1}');
+  }
+  override close(): void {
+    this.closed = true;
+  }
+}
+
+test("a client that is closed while it enters again is closed", async () => {
+  const dialled: { transport: Slow; connect: () => void }[] = [];
+  const opening = Client.open(
+    () =>
+      new Promise((resolve) => {
+        const transport = new Slow();
+        dialled.push({ transport, connect: () => resolve(transport) });
+      }),
+    { password: "x" },
+  );
+  const enter = async (index: number): Promise<void> => {
+    dialled[index]!.connect();
+    await turn();
+    dialled[index]!.transport.answer();
+  };
+  await enter(0);
+  const client = await opening;
+  const refused = (entering: Promise<void>) => assert.rejects(entering, { name: "Disconnected", code: "closed" });
+
+  const dialling = refused(client.reconnect());
+  client.close();
+  const next = client.reconnect(); // which does not share what was closed
+  dialled[1]!.connect();
+  await dialling;
+  assert.ok(dialled[1]!.transport.closed);
+  assert.deepEqual(dialled[1]!.transport.sent, []);
+  await enter(2);
+  await next;
+
+  const authenticating = refused(client.reconnect());
+  dialled[3]!.connect();
+  await turn();
+  client.close();
+  await authenticating;
+  assert.ok(dialled[3]!.transport.closed);
+  await assert.rejects(client.ping(), { code: "closed" });
+
+  const again = client.reconnect();
+  await enter(4);
+  await again;
+  assert.deepEqual(
+    dialled.map(({ transport }) => transport.closed),
+    [true, true, true, true, false],
+  );
+});
+
 test("who does not read events loses the oldest, and is told how many", async () => {
   const loop = new Loop();
   const other = await Client.open(() => Promise.resolve(loop), { password: "x" });
