@@ -64,9 +64,24 @@ function meant(entries: readonly string[] | undefined, names: readonly string[])
   return entries.map((label, entry) => ({ label, places: taken.flatMap((owner, place) => (owner === entry ? [place] : [])) }));
 }
 
+/** Whether a name fits a pattern, as brains have it: * stands for any characters, also none, and ? for any one. */
 function fits(entry: string, name: string): boolean {
-  const pattern = entry.replace(/[.+^${}()|[\]\\]/g, "\\$&").replaceAll("*", ".*").replaceAll("?", ".");
-  return new RegExp(`^${pattern}$`).test(name);
+  const [pattern, text] = [[...entry], [...name]];
+  let [star, from, at] = [-1, 0, 0];
+  for (let i = 0; i < text.length; ) {
+    if (pattern[at] === "*") {
+      [star, from] = [at++, i];
+    } else if (pattern[at] === "?" || pattern[at] === text[i]) {
+      at++;
+      i++;
+    } else if (star >= 0) { // the last * takes one more; what those before it took may stay
+      from++;
+      [at, i] = [star + 1, from];
+    } else {
+      return false;
+    }
+  }
+  return pattern.slice(at).every((each) => each === "*");
 }
 
 function layered(brain: Json, sensors: readonly string[], outputs: readonly string[]): Network {

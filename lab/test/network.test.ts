@@ -22,3 +22,13 @@ test("a wave is told with all that it has, and with what it leaves out", () => {
   assert.equal(described({ kind: "sine", oscillators: [wave] }), "hip*: -0.2 + 0.3 sin(2π 2 t + 0.1 - 0.7 n); n is 0 for the first motor of a wave, 1 for the next");
   assert.equal(described({ kind: "onnx" }), "It is no network that can be drawn.");
 });
+
+test("wildcards stand for any characters, whatever they are, and take no longer the more there are", () => {
+  const reads = (entry: string, ...sensors: string[]): number[] =>
+    network({ kind: "mlp", inputs: [entry], layers: [] }, sensors, [])?.activate(sensors.map((_, place) => 2 ** place), { units: [], controls: [] }) ?? [];
+  assert.deepEqual(reads("?.b*", "a.b", "🦎.bc", "ab", "aa.b", ".b"), [1 + 2]);
+  assert.deepEqual(reads("a*c", "ac", "a\n🦎c", "abcd", "a.c.c", "ca"), [1 + 2 + 8]);
+  assert.deepEqual(reads("*a*b?", "abc", "bab", "aabbb", "xaxbx", "ab"), [1 + 4 + 8]);
+  assert.deepEqual(reads("[a-z]*", "b", "[a-z]", "[a-z].x"), [2 + 4]);
+  assert.deepEqual(reads(`${"*a".repeat(30)}b`, "a".repeat(120), `${"a".repeat(120)}b`), [2]);
+});
