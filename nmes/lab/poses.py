@@ -146,6 +146,7 @@ class _Watched:
         self._version = -1  # of the structure that it tells
         self._scene: str | None = None
         self._frame = b""
+        self._food: str | None = None
         self._due = self._described = self._told = 0.0  # when there is more to look at, or to tell
         self._task: asyncio.Task[None] | None = None
 
@@ -153,9 +154,15 @@ class _Watched:
         self.readers[reader] = None
         if self._scene is not None:
             reader.tell("scene", self._scene)
+            self._feed(reader)
             reader.show(self._frame)
         if self._task is None:
             self._task = asyncio.create_task(self._watch())
+
+    def _feed(self, reader: Reader) -> None:
+        """Tells where food is, as far as is known, to whoever watches no brain."""
+        if self._food is not None and reader.mind is None:
+            reader.tell("food", self._food)
 
     def remove(self, reader: Reader) -> None:
         del self.readers[reader]
@@ -224,10 +231,9 @@ class _Watched:
 
     def _tell_more(self, world: World) -> None:
         """Tells where food is, where that is new, and forces and minds to those who asked for them."""
-        food = food_text(world)
+        self._food = food_text(world)
         for reader in self.readers:
-            if food is not None and reader.mind is None:
-                reader.tell("food", food)
+            self._feed(reader)
         if world.fault is not None:
             return
         for kind in FORCES:

@@ -10,13 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from starlette.applications import Starlette
+from starlette.routing import WebSocketRoute
 
-from browsers import Socket
+from browsers import Socket, socket_to
 from creatures import SINE, snake
+from ecosystems import config
 from labs import Frame, RunningLab, running_lab
 from nmes.genome import Genome
+from nmes.lab.poses import Watchers
 from nmes.lab.scene import FORCES
-from servers import until
+from servers import served, until
 
 NONSENSE: list[str | bytes] = [
     *("{", '{"frame":"x"}', '{"frame":true}', "[]", b"\xff", '{"frame":1e999}'),
@@ -181,6 +185,29 @@ def test_food_is_told_anew_when_it_grows_or_is_eaten(lab: RunningLab) -> None:
                 told = message.get("food") if isinstance(message, dict) else None
             seen.append(told)
         assert seen[0] != seen[1] != seen[2]
+
+
+def test_who_comes_while_a_world_hibernates_sees_what_was_there(tmp_path: Path) -> None:
+    def seen() -> dict[str, Any]:
+        texts: dict[str, Any] = {}
+        while texts.keys() != {"scene", "food"}:
+            message = watcher.hear()
+            texts |= {} if isinstance(message, bytes) else {message["type"]: message}
+        return texts
+
+    with (
+        served({**config(), "backend": "mujoco"}, record_to=tmp_path, hibernate_after=0.05) as server,
+        ExitStack() as stack,
+    ):
+        watchers = Starlette(routes=[WebSocketRoute("/", Watchers(server.host).serve)])
+        port = server.run(server.host.serve_http("127.0.0.1", 0, watchers))[1]
+        with server.client() as client:
+            client.step(ticks=3)
+            watcher = stack.enter_context(socket_to(port, "/"))
+            before = seen()
+        until(lambda: server.call(lambda: server.hosted.hibernation.resting))
+        watcher = stack.enter_context(socket_to(port, "/"))
+        assert seen() == before and before["food"]["food"]
 
 
 LOOP = {
