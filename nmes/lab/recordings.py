@@ -13,8 +13,10 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, Final, NamedTuple, cast
 
+import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from nmes.backend import Array
 from nmes.errors import NmesError, RecordingError, RejectedMessage
 from nmes.lab.folder import LabError
 from nmes.lab.lab import Lab
@@ -33,9 +35,7 @@ MOST: Final = 2000  # marks of a recording
 _BIRTHS: Final = {"creature_born": "birth", "creature_died": "death"}  # the marks of an ecosystem's events
 _NOT_FOUND: Final = 4404  # the code with which a WebSocket is closed
 _FURTHEST: Final = 1 << 53
-_POSE: Final = 28  # bytes of a cube's pose
-_AHEAD: Final = 300  # frames from the wanted one on, at least, that are kept of a step of many ticks
-_KEPT: Final = 32 << 20  # bytes of poses that are kept of more
+_KEPT: Final = 32 << 20  # bytes of what is seen in one step from the wanted frame on, after which no more is looked at
 _EVERYDAY: Final = ("get_", "ping", "step", "subscribe", "unsubscribe", "compute_reward", "apply_")
 """How commands begin of which there are too many to be marks."""
 
@@ -133,6 +133,8 @@ class _Player:
         self._at = -1  # the frame to which it was run
         self._number, self._version, self._scene = 0, -1, ""  # of the newest scene
         self._wanted = _Wanted(0, ())
+        self._food: tuple[Array, str | None] | None = None  # where it was last, also as text
+        self._kept = 0  # bytes of what was seen in the step that is run
 
     def header(self) -> str:
         """Returns the frame that a page is sent first."""
@@ -155,11 +157,11 @@ class _Player:
         if self._ticks is None or not max(start.frame, 0) <= self._at < frame:
             self.close()
             self._ticks = cast(Generator[_Tick, None, None], watch(self._recording, self._look, start=start))
-            self._at = start.frame
+            self._at, self._kept = start.frame, 0
         until = monotonic() + PATIENCE
         try:
             for at, sight in self._ticks:
-                self._at = at
+                self._at, self._kept = at, 0  # a step's ticks come when all of them have been looked at
                 if at >= frame:
                     as_wanted = sight is not None and sight.kinds == wanted.kinds
                     return sight if as_wanted else self.seek(wanted)  # which begins anew, since this frame was passed
@@ -174,20 +176,25 @@ class _Player:
     def _look(self, world: World) -> _Tick:
         """Returns the frame after a tick, and what is to be seen of it where it is near the one that is wanted.
 
-        One step may have very many ticks before any is asked for.
+        One step may have very many ticks, and all are run before the first can be shown: they are looked at up to some
+        bytes, which bounds the time, too.
         """
-        ahead = max(_AHEAD, _KEPT // (_POSE * max(len(world.entities.cubes), 1)))
-        near = self._wanted.frame <= world.ticks < self._wanted.frame + ahead
+        near = world.ticks == self._wanted.frame or (world.ticks > self._wanted.frame and self._kept < _KEPT)
         return world.ticks, self._see(world) if near else None
 
     def _see(self, world: World) -> _Sight:
         if world.structure_version != self._version:  # of one history: equal numbers, equal cubes
             self._version, self._number = world.structure_version, self._number + 1
             self._scene = scene_text(world, self._number)
+            self._kept += len(self._scene)
+        if self._food is None or not np.array_equal(self._food[0], world.entities.food):
+            self._food = world.entities.food.copy(), food_text(world)
+            self._kept += len(self._food[1] or "")
         kinds, number = self._wanted.kinds, self._number
         forces = [text for kind in kinds if (text := force_text(kind, world, number)) is not None]
         poses = frame_bytes(world, number, world.ticks)
-        return _Sight(number, self._scene, food_text(world), poses, kinds, forces)
+        self._kept += len(poses) + sum(map(len, forces))
+        return _Sight(number, self._scene, self._food[1], poses, kinds, forces)
 
     def close(self) -> None:
         """Ends what is run."""

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from starlette.websockets import WebSocket
 
 from browsers import Socket
 from ecosystems import config
 from labs import Frame, running_lab
+from nmes.lab.folder import Folder
+from nmes.lab.lab import open_lab
+from nmes.lab.recordings import show_recording
 from nmes.playback.watch import states
 from nmes.recording import Recording
 from nmes.world import World
@@ -98,6 +106,46 @@ def test_the_food_of_each_moment_is_told_where_it_is_another_than_before(tmp_pat
             known = texts["food"]["food"] if "food" in texts else known
             assert np.array(known).reshape(-1, 3) == pytest.approx(foods[frame], abs=1e-3)
         assert "food" not in moment(socket, 1)[0]
+
+
+async def first_tick(folder: Path) -> list[Any]:
+    """Returns what a page is sent that asks a lab for the first tick of `it`, and hangs up when it has it."""
+    asked = [{"type": "websocket.connect"}, {"type": "websocket.receive", "text": '{"frame":1}'}]
+    sent: list[Any] = []
+    shown = asyncio.Event()
+
+    async def receive() -> dict[str, Any]:
+        if asked:
+            return asked.pop(0)
+        await shown.wait()
+        return {"type": "websocket.disconnect"}
+
+    async def answer(message: Any) -> None:
+        sent.append(message)
+        if "bytes" in message:
+            shown.set()
+
+    async with open_lab(Folder(folder), "", 1) as lab:
+        scope = {"type": "websocket", "path": "/", "query_string": b"name=it", "headers": []}
+        await show_recording(lab, WebSocket(scope, receive, answer))
+    return sent
+
+
+@pytest.mark.parametrize(("rate", "most"), [(0, 20e6), pytest.param(20, 50e6, marks=pytest.mark.long)])
+def test_of_a_long_step_no_more_is_kept_however_much_food_there_is(tmp_path: Path, rate: int, most: float) -> None:
+    # 8,000 pieces are 190 kB of text, of 400 ticks 78 MB; the tracing of memory makes this slow.
+    food = {"places": [{"radius": 500}], "start": 8000, "rate": rate, "most": 10000, "energy": 300}
+    life = config(food=food, population={"start": 1, "most": 1})
+    play = partial(send, type="step", ticks=400)
+    record(place(tmp_path), play, {**life, "backend": "mujoco"})
+    tracemalloc.start()
+    try:
+        *_, food_told, poses = asyncio.run(first_tick(tmp_path))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(json.loads(food_told["text"])["food"]) >= 8000 and "bytes" in poses
+    assert peak < most
 
 
 def test_a_recording_that_fails_is_shown_up_to_there(tmp_path: Path) -> None:
