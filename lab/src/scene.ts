@@ -13,7 +13,8 @@ export type Point = readonly [number, number, number];
 
 /** A cube that is pulled with the pointer, from where it was gripped to where the pointer is. */
 export interface Pull {
-  readonly cube: number;
+  /** Its name, since places change with each scene. */
+  readonly cube: string;
   readonly grip: Point;
   readonly to: Point;
 }
@@ -92,7 +93,7 @@ export class Stage {
   private pace = 16; // ms between two drawings, about
   private last = 0;
   private framed = false; // whether the camera was set once
-  private pulled: { cube: number; local: THREE.Vector3; plane: THREE.Plane; to?: THREE.Vector3 } | undefined;
+  private pulled: { name: string; cube: number; local: THREE.Vector3; plane: THREE.Plane; to?: THREE.Vector3 } | undefined;
 
   constructor(label: string, private readonly signal: AbortSignal, private readonly events: StageEvents = {}) {
     this.renderer = new THREE.WebGLRenderer({ antialias: !SOFTWARE, stencil: true, powerPreference: "high-performance" });
@@ -162,6 +163,7 @@ export class Stage {
       this.meshes.get(kind)?.setColorAt(instance, new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace));
     }
     this.furnish(scene);
+    this.regrip(scene);
     this.request();
   }
 
@@ -524,8 +526,19 @@ export class Stage {
     const turn = new THREE.Quaternion().fromArray(this.poses, cube * STRIDE + 3);
     const local = point.clone().sub(new THREE.Vector3(...this.position(cube))).applyQuaternion(turn.invert());
     const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(this.camera.getWorldDirection(new THREE.Vector3()), point);
-    this.pulled = { cube, local, plane };
+    this.pulled = { name: this.described?.cubes[cube]?.name ?? "", cube, local, plane };
     this.controls.enabled = false;
+  }
+
+  /** Finds what is pulled in a new scene, and lets it go where it is no more. */
+  private regrip({ cubes }: Scene): void {
+    const { pulled } = this;
+    if (pulled !== undefined) {
+      pulled.cube = cubes.findIndex(({ name }) => name === pulled.name);
+      if (pulled.cube < 0) {
+        this.release();
+      }
+    }
   }
 
   private drag(event: PointerEvent): void {
@@ -544,12 +557,15 @@ export class Stage {
     if (this.pulled?.to === undefined) {
       return;
     }
-    const { cube, local, to } = this.pulled;
+    const { name, cube, local, to } = this.pulled;
     const turn = new THREE.Quaternion().fromArray(this.poses, cube * STRIDE + 3);
+    if (turn.lengthSq() === 0) {
+      return; // where it is in this scene, the next frame says
+    }
     const grip = local.clone().applyQuaternion(turn).add(new THREE.Vector3(...this.position(cube)));
     replace(this.rope, [...grip.toArray(), ...to.toArray()]);
     this.rope.visible = true;
-    this.events.pull?.({ cube, grip: grip.toArray(), to: to.toArray() });
+    this.events.pull?.({ cube: name, grip: grip.toArray(), to: to.toArray() });
   }
 
   private release(): void {

@@ -8,6 +8,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,14 +110,15 @@ def until(page: Page, happened: Callable[[], bool]) -> None:
         page.wait_for_timeout(50)
 
 
-def draw_on(page: Page) -> None:
-    """Waits until the world is drawn once more."""
+def draw_on(page: Page, change: Callable[[], Any] = lambda: None) -> None:
+    """Waits until the world is drawn once more, after a change of what is seen where it stands still."""
     stage = page.locator(".stage")
 
     def drawn() -> int:
         return int(stage.get_attribute("data-drawn") or 0)
 
     before = drawn()
+    change()
     until(page, lambda: drawn() > before)
 
 
@@ -204,22 +206,32 @@ def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: La
         assert json.loads(page.locator("#command").inner_text())["type"] == "apply_force"
 
 
-def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: Browser, lab: Lab) -> None:
-    sent: list[str | bytes] = []
+class Forces:
+    """What a page sends to push cubes.
 
-    def carried(route: WebSocketRoute) -> None:
+    Attributes:
+        cubes: The names of the cubes that were pushed, in order.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self.cubes: list[str] = []
+        page.route_web_socket(re.compile("/ws$"), self._carry)
+        page.reload()
+
+    def _carry(self, route: WebSocketRoute) -> None:
         server = route.connect_to_server()
 
         def passed(message: str | bytes) -> None:
             if '"apply_force"' in str(message):
-                sent.append(message)
+                self.cubes.append(json.loads(message)["cube_name"])
             server.send(message)
 
         route.on_message(passed)
 
+
+def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "worlds") as page:
-        page.route_web_socket(re.compile("/ws$"), carried)
-        page.reload()
+        forces = Forces(page)
         x, y = dropped(page, "held")
         page.get_by_role("button", name="Push by dragging").click()
         page.get_by_role("button", name="Pause").click()
@@ -228,9 +240,9 @@ def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: 
         page.mouse.down()
         page.mouse.move(x + 60, y, steps=4)
         page.wait_for_timeout(500)
-        assert sent == []  # they would all act in the next tick
+        assert forces.cubes == []  # they would all act in the next tick
         page.mouse.up()
-        until(page, lambda: len(sent) == 1)
+        until(page, lambda: len(forces.cubes) == 1)
         assert page.locator("#command").inner_text().startswith('{"type":"apply_force"')
         page.get_by_role("button", name="Resume").click()
         page.get_by_role("button", name="Pause").wait_for()
@@ -248,7 +260,45 @@ def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: 
             until(page, lambda: frame(page) > begun + 180 and way() > 0.05)  # the slower the page, the fewer pulls
             assert way() < 3
         page.mouse.up()
-        assert len(sent) > 10
+        assert len(forces.cubes) > 10
+
+
+@contextmanager
+def gripped(page: Page, lab: Lab, world: str) -> Iterator[nmes.Client]:
+    """Shows a new world that stands still, with cubes a, b and c in a row, of which b is held with the mouse."""
+    with nmes.Client(port=lab.host_port, password=PASSWORD) as maker:
+        maker.create_world(world)
+    with nmes.Client(port=lab.host_port, password=PASSWORD, world=world) as client:
+        client.set_mode("lockstep")
+        for place, name in enumerate("abc"):
+            client.spawn_cube(cube_name=name, position=[3 * place - 3, 5, 0])
+        page.goto(lab.at(f"worlds/{world}"))
+        until(page, lambda: frames(page) > 0)
+        page.get_by_role("button", name="Push by dragging").click()
+        draw_on(page, page.get_by_role("button", name="Show all").click)
+        box = page.locator("canvas").bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down()
+        page.mouse.move(box["x"] + box["width"] / 2 + 60, box["y"] + box["height"] / 2, steps=2)
+        yield client
+        page.mouse.up()
+
+
+def test_what_is_held_with_the_mouse_is_the_same_cube_whoever_comes_and_goes(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds") as page:
+        forces = Forces(page)
+        with gripped(page, lab, "shifted") as client:
+            cubes = page.locator(".facts dt", has_text="Cubes").locator("+ dd")
+            client.despawn_cube(cube_name="a")
+            cubes.get_by_text("2", exact=True).wait_for()
+            client.step()
+            until(page, lambda: forces.cubes != [])
+            client.despawn_cube(cube_name="b")
+            cubes.get_by_text("1", exact=True).wait_for()
+            now = client.step()["frame"]
+            until(page, lambda: frame(page) == now)
+        assert forces.cubes == ["b"]
 
 
 def test_forces_are_drawn_on_demand(browser: Browser, lab: Lab) -> None:

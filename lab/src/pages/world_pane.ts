@@ -1,5 +1,5 @@
 /** One world, live: drawn as it moves, with its clock, what can be put into it, and an inspector of what is clicked. */
-import type { CubeInfo, SpawnCreature, WorldInfo } from "nmes-client";
+import type { ApplyForce, CubeInfo, SpawnCreature, WorldInfo } from "nmes-client";
 import { get, kept, part, socketUrl, words } from "../api.js";
 import { type Command as Shown, action, done, line, preview } from "../command.js";
 import { Link } from "../connection.js";
@@ -12,6 +12,8 @@ import { Visit } from "../world.js";
 const LOOK = 1000; // ms between two looks at what the inspector shows
 const STIFFNESS = 45; // N/m for each kg that is pulled
 const STRONGEST = 400; // N for each kg
+
+type Force = ApplyForce & { type: "apply_force" };
 
 /** Returns a pane that shows a world until the signal. */
 export function pane(world: string, signal: AbortSignal, close?: () => void): HTMLElement {
@@ -37,7 +39,7 @@ class Pane {
   private scene: Scene | undefined;
   private info: WorldInfo | undefined;
   private chosen: string | undefined;
-  private pulled: { pull: Pull; at: number; sent: boolean; refused: boolean } | undefined; // `at`: in which frame a force was sent last
+  private pulled: { pull: Pull; at: number; sent?: Force; refused: boolean } | undefined; // `at`: in which frame a force was sent last
   private now = -1; // the frame that the world has told last
   private frames = 0;
   private known = 0; // creatures of the scene before
@@ -365,7 +367,7 @@ class Pane {
     } else if (this.pulled !== undefined) {
       this.pulled.pull = pull;
     } else {
-      this.pulled = { pull, at: this.now, sent: false, refused: false };
+      this.pulled = { pull, at: this.now, refused: false };
       preview(this.message(this.force(pull)));
       if (this.info?.paused === false && this.info.mode !== "lockstep") {
         void this.push();
@@ -377,9 +379,9 @@ class Pane {
   private async push(): Promise<void> {
     const { pulled } = this;
     if (pulled !== undefined && !pulled.refused) {
-      pulled.sent = true;
+      pulled.sent = this.force(pulled.pull);
       try {
-        await this.visit.request(this.force(pulled.pull));
+        await this.visit.request(pulled.sent);
       } catch (error) {
         pulled.refused = true;
         notify(words(error), "bad");
@@ -387,29 +389,29 @@ class Pane {
     }
   }
 
-  /** Ends a pull. Where the world stands still and nothing was sent, one force is, for the next tick. */
+  /** Ends a pull. Where the world stands still and nothing was sent, one force is, for the next tick, if the cube is there. */
   private async letGo(): Promise<void> {
     const { pulled } = this;
-    if (pulled !== undefined && !pulled.sent) {
+    if (pulled !== undefined && pulled.sent === undefined && this.place(pulled.pull.cube) >= 0) {
       await this.push();
     }
     if (this.pulled === pulled) {
       this.pulled = undefined;
     }
-    if (pulled !== undefined && !pulled.refused) {
-      done(this.message(this.force(pulled.pull)));
+    if (pulled?.sent !== undefined && !pulled.refused) {
+      done(this.message(pulled.sent));
     }
   }
 
-  private force({ cube, grip, to }: Pull): { type: "apply_force"; cube_name: string; force: [number, number, number]; at: [number, number, number] } {
+  private force({ cube, grip, to }: Pull): Force {
     const cubes = this.scene?.cubes ?? [];
-    const { name = "", creature } = cubes[cube] ?? {};
-    const pulled = cubes.filter((each) => each.name === name || (typeof creature === "string" && each.creature === creature));
+    const { creature } = cubes.find(({ name }) => name === cube) ?? {};
+    const pulled = cubes.filter((each) => each.name === cube || (typeof creature === "string" && each.creature === creature));
     const mass = pulled.reduce((total, each) => total + (each.mass ?? 1), 0);
     const way = to.map((value, axis) => (value - (grip[axis] ?? 0)) * STIFFNESS * mass);
     const scale = Math.min(1, (STRONGEST * mass) / Math.max(Math.hypot(...way), 1e-9));
     const [x = 0, y = 0, z = 0] = way.map((value) => Math.round(value * scale * 1000) / 1000);
-    return { type: "apply_force", cube_name: name, force: [x, y, z], at: [grip[0], grip[1], grip[2]] };
+    return { type: "apply_force", cube_name: cube, force: [x, y, z], at: [grip[0], grip[1], grip[2]] };
   }
 }
 
