@@ -207,7 +207,7 @@ def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: La
 
 
 class Forces:
-    """What a page sends to push cubes.
+    """What a page sends to push cubes, and a line to it beside the host's.
 
     Attributes:
         cubes: The names of the cubes that were pushed, in order.
@@ -215,11 +215,13 @@ class Forces:
 
     def __init__(self, page: Page) -> None:
         self.cubes: list[str] = []
+        self._routes: list[WebSocketRoute] = []
         page.route_web_socket(re.compile("/ws$"), self._carry)
         page.reload()
 
     def _carry(self, route: WebSocketRoute) -> None:
         server = route.connect_to_server()
+        self._routes.append(route)
 
         def passed(message: str | bytes) -> None:
             if '"apply_force"' in str(message):
@@ -227,6 +229,10 @@ class Forces:
             server.send(message)
 
         route.on_message(passed)
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Tells the page something, on the newest connection that it has to a world."""
+        self._routes[-1].send(json.dumps(message))
 
 
 def test_a_cube_that_is_held_with_the_mouse_comes_to_it_and_no_further(browser: Browser, lab: Lab) -> None:
@@ -299,6 +305,20 @@ def test_what_is_held_with_the_mouse_is_the_same_cube_whoever_comes_and_goes(bro
             now = client.step()["frame"]
             until(page, lambda: frame(page) == now)
         assert forces.cubes == ["b"]
+
+
+def test_what_is_held_with_the_mouse_is_pulled_once_a_tick_whichever_socket_tells_it(
+    browser: Browser, lab: Lab
+) -> None:
+    with opened(browser, lab, "worlds") as page:
+        forces = Forces(page)
+        with gripped(page, lab, "twice") as client:
+            begun = frame(page)
+            for _ in range(3):
+                client.step()
+                until(page, lambda: frame(page) - begun == len(forces.cubes) > 0)
+                forces.tell({"type": "tick", "t": 0, "frame": begun})  # which comes late
+                until(page, lambda: frame(page) == begun)
 
 
 def test_forces_are_drawn_on_demand(browser: Browser, lab: Lab) -> None:

@@ -253,8 +253,10 @@ class Pane {
 
   private tell(frame: number): void {
     this.now = frame;
-    if (this.pulled !== undefined && this.pulled.at !== frame) {
-      this.pulled.at = frame;
+    const { pulled } = this;
+    // Of the two sockets that tell frames one may be behind the other; far behind is a world that was reset.
+    if (pulled !== undefined && (frame > pulled.at || frame < pulled.at - this.rate())) {
+      pulled.at = frame;
       void this.push();
     }
     this.clock.textContent = `${(frame / this.rate()).toFixed(2)} s · ${frame.toLocaleString("en")}`;
