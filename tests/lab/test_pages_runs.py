@@ -21,7 +21,7 @@ from processes import NMES
 from recordings import busy, record
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Route
 
 
 @pytest.fixture(scope="module")
@@ -197,6 +197,33 @@ def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: L
         page.get_by_text(re.compile("[1-9][0-9,]* of 600 steps")).wait_for(timeout=4 * PATIENCE)
     before, after = settings_of(lab, "copy"), settings_of(lab, "copy-again")
     assert {name for name in before if before[name] != after[name]} == {"seed"}
+
+
+def test_a_run_like_one_of_cloning_has_all_of_its_recordings_and_no_others(browser: Browser, lab: Lab) -> None:
+    record(lab.folder / "recordings" / "here.mcap", busy)
+    before = [f"{lab.folder}/recordings/not-listed.mcap", "/elsewhere/here.mcap"]
+    settings = {"task": {"name": "walk"}, "algorithm": "clone", "seed": 1, "steps": 600, "recordings": before}
+    asked: list[Any] = []
+
+    def begin(route: Route) -> None:
+        if route.request.method == "POST":
+            asked.append(route.request.post_data_json)
+            route.fulfill(body="no JSON")
+        else:
+            route.continue_()
+
+    with opened(browser, lab, "evolve") as page:
+        page.route("**/api/runs/copied", lambda route: route.fulfill(json={"kind": "learn", "settings": settings}))
+        page.route("**/api/runs", begin)
+        page.goto(lab.at("evolve?like=copied"))
+        choice = page.get_by_label("Recordings to learn from")
+        choice.locator("option", has_text=re.compile("^here$")).wait_for(state="attached")
+        assert choice.locator("option:checked").all_inner_texts() == ["not-listed", "/elsewhere/here.mcap"]
+        assert f"nmes learn {' '.join(before)} --algorithm clone" in page.inner_text("code.as-command")
+        choice.select_option(["not-listed", "here"])
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text("what is no JSON").wait_for()
+    assert asked[0]["settings"]["recordings"] == ["not-listed", "here"]
 
 
 def test_a_run_that_fails_says_what_its_command_said(browser: Browser, lab: Lab) -> None:

@@ -185,15 +185,28 @@ class Form {
     if (this.#offered) return;
     this.#offered = true;
     try {
-      const { items } = await get<{ items: readonly { name: string }[] }>("/recordings");
-      const before = new Set((this.like?.settings.recordings ?? []).map((path) => path.replace(/^.*\//, "").replace(/\.mcap$/, "")));
-      fill(this.#recordings, ...items.map(({ name }) => h("option", { value: name, selected: before.has(name) }, name)));
+      const { items } = await get<{ items: readonly { name: string }[] }>("/recordings"); // the newest alone
+      const before = this.like?.settings.recordings ?? [];
+      const paths = new Set([...before, ...items.map(({ name }) => this.#path(name))]);
+      fill(this.#recordings, ...[...paths].map((path) => h("option", { value: path, selected: before.includes(path) }, this.#called(path))));
       this.#update();
     } catch {
       this.#offered = false; // the next change of the form asks again
     }
   }
 
+  /** The path of a recording of the lab, as settings of runs have it. */
+  #path(name: string): string {
+    return `${this.folder}/recordings/${name}.mcap`.replace(/^\.\//, "");
+  }
+
+  /** The name of a recording of the lab by its path; of one from elsewhere, which the lab will refuse, the path. */
+  #called(path: string): string {
+    const name = path.replace(/^.*\//, "").replace(/\.mcap$/, "");
+    return path === this.#path(name) ? name : path;
+  }
+
+  /** The paths of the recordings that are chosen. */
   #chosen(): string[] {
     return [...this.#recordings.selectedOptions].map((option) => option.value);
   }
@@ -238,7 +251,7 @@ class Form {
     const algorithm = this.#algorithm.value;
     const given = this.like === undefined ? [] : this.#like();
     if (algorithm === CLONE) {
-      return line("nmes", "learn", ...this.#chosen().map((name) => `${this.folder}/recordings/${name}.mcap`), "--algorithm", CLONE, "--steps", this.#budget.value,
+      return line("nmes", "learn", ...this.#chosen(), "--algorithm", CLONE, "--steps", this.#budget.value,
         "--seed", this.#seed.value, ...given, "-o", `${this.folder}/runs/${this.#name.value}`);
     }
     const archive = ARCHIVES.has(algorithm) ? MEASURES.flatMap((each) => ["--measure", `${each.expression} from ${each.low} to ${each.high} in ${each.cells}`]) : [];
@@ -292,7 +305,7 @@ class Form {
   #lesson(): Lesson {
     const before = this.like?.kind === "learn" ? this.like.settings : undefined;
     const amounts = { algorithm: this.#algorithm.value, steps: Number(this.#budget.value), seed: Number(this.#seed.value), ...(before === undefined ? {} : { options: this.#given(), ...(before.every === undefined ? {} : { every: before.every }) }) };
-    if (this.#algorithm.value === CLONE) return { recordings: this.#chosen(), ...amounts };
+    if (this.#algorithm.value === CLONE) return { recordings: this.#chosen().map((path) => this.#called(path)), ...amounts };
     const same = before !== undefined && this.#algorithm.value === before.algorithm;
     return {
       genome: this.#kept(), task: this.#task.value === SAME ? before?.task ?? "" : this.#task.value, ...amounts,
