@@ -29,6 +29,7 @@ _PATIENCE: Final = 10.0  # s that a command is given to end when it is told to
 _LOOK: Final = 0.02  # s between looks at what a command beside has printed
 _PRINTED: Final = 64 << 20  # bytes of what a command prints
 _LONGEST: Final = 1000  # characters of a column
+_WRONG_USAGE: Final = 2  # the status of a command that could not do what it was asked
 _TOLD: Final = 8  # lines of what a command that failed said
 
 
@@ -162,8 +163,8 @@ def _columns(study: Study, name: str, status: int, folder: Path, blame: str) -> 
         for column, source in study.document["columns"].items()
         if source.partition(" ")[0] == name
     }
-    if status and "status" not in wanted.values():
-        raise StudyError("command_failed", f"{blame}ended with status {status}: {_said(folder / f'{name}.err')}")
+    if status and (status < 0 or status == _WRONG_USAGE or "status" not in wanted.values()):
+        raise StudyError("command_failed", f"{blame}{_end(status)}: {_said(folder / f'{name}.err')}")
     columns: JsonObject = {column: float(status) for column, place in wanted.items() if place == "status"}
     pointers = {column: place for column, place in wanted.items() if place != "status"}
     printed = _read(folder / f"{name}.out", blame) if pointers else None
@@ -214,6 +215,11 @@ def _in_list(values: list[Any], key: str) -> Any:
         return values[int(key)]
     named = [each for each in values if isinstance(each, dict) and str(each.get(name)) == wanted]
     return named[0]
+
+
+def _end(status: int) -> str:
+    """Returns how a command has ended, in words."""
+    return f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
 
 
 def _said(path: Path) -> str:

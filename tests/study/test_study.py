@@ -449,7 +449,7 @@ def test_commands_see_what_runs_beside_them_and_what_was_printed_before(tmp_path
 [commands]
 worlds = "nmes worlds {host.host}:{host.port} --password {host.password} --json"
 again = "nmes worlds {host.host}:{host.port} --password {host.password} --world {worlds/0/world} --json"
-failing = "nmes tasks {words} --json"
+failing = "nmes genome diff walker {words} --json"
 
 [columns]
 world = "again /0/world"
@@ -460,7 +460,7 @@ status = "failing status"
 name = "hosted"
 about = "Beside a host."
 measured = true
-settings = { words = ["no-such-task"] }
+settings = { words = ["roller"] }
 beside = { host = "nmes serve --backend ballistic --worlds red,green --port 0 --no-record --json" }
 
 [values]
@@ -474,7 +474,7 @@ minutes = 0.1
     )
     result = run("study", "run", folder, "--jobs", "2")
     assert result.exit_code == 0, result.output
-    assert [(row["world"], row["status"], row["measured"]) for row in rows(folder)] == [("red", 2.0, True)] * 3
+    assert [(row["world"], row["status"], row["measured"]) for row in rows(folder)] == [("red", 1.0, True)] * 3
     assert all(isinstance(row["port"], float) for row in rows(folder))
     edit(folder / "study.toml", "/world=green/port", "/world=blue/port")
     result = run("study", "run", folder)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["DISCUSSION", "STUDY", "make_study"]
+__all__ = ["DISCUSSION", "STUDY", "make_bare_study", "make_study"]
 
 STUDY = """\
 format = "nmes-study/1"
@@ -68,6 +69,48 @@ seeds = [1, 2, 3]
 minutes = 0.1
 """
 DISCUSSION = "Who swings gets {{swinging}} m ({{swinging.low}} to {{swinging.high}}): `farther` {{verdict.farther}}.\n"
+_BARE = """\
+format = "nmes-study/1"
+title = "A bare study"
+question = "What is done?"
+
+[[claims]]
+name = "same"
+says = "It is the same."
+place = "nowhere"
+for = "It is."
+against = "It is not."
+holds = 'same == 1'
+refuted = 'same < 1'
+
+[commands]
+COMMANDS
+
+[columns]
+COLUMNS
+
+[[arms]]
+name = "only"
+about = "All of it."
+ARM
+
+[values]
+same = { statistic = "equal", arm = "only", over = "only" }
+
+[budgets.small]
+seeds = [1, 2, 3]
+minutes = 0.1
+"""
+
+
+def make_bare_study(folder: Path, commands: Mapping[str, str], columns: Mapping[str, str], arm: str = "") -> Path:
+    """Writes a study of one arm, with these commands and columns, to a new folder; `arm` is what the arm has of its own."""
+    folder.mkdir(parents=True)
+    text = _BARE.replace("ARM", arm)
+    for place, lines in (("COMMANDS", commands), ("COLUMNS", columns)):
+        text = text.replace(place, "\n".join(f"{name} = {json.dumps(line)}" for name, line in lines.items()))
+    (folder / "study.toml").write_text(text)
+    return folder
 
 
 def make_study(folder: Path) -> Path:
