@@ -20,7 +20,7 @@ from typing import IO, Any, Final
 
 from nmes.errors import StudyError, visible
 from nmes.schemas.documents import JsonObject
-from nmes.study.document import PLACE, PlannedRun, Setting, Study, fill
+from nmes.study.document import PLACE, PlannedRun, Setting, Study, fill, settle, tells
 from nmes.study.results import GREATEST
 
 __all__ = ["Stopped", "Stopper", "perform"]
@@ -97,21 +97,21 @@ def perform(study: Study, run: PlannedRun, folder: Path, stopper: Stopper) -> Js
         StudyError: A command fails, or does not print what a column asks for (`command_failed`).
         Stopped: It was stopped.
     """
-    values: dict[str, Setting | list[Setting]] = {**run.values, "run": str(folder), "study": str(study.folder)}
+    values = settle(run.values, {"run": str(folder), "study": str(study.folder)})
     environment = {name: value for name, value in os.environ.items() if name != "NMES_PASSWORD"}
     environment |= run.arm.get("environment", {})
     columns: JsonObject = dict.fromkeys(study.document["columns"])
     beside: list[subprocess.Popen[bytes]] = []
     try:
         for name, command in run.arm.get("beside", {}).items():
-            words = fill(shlex.split(command), values)
-            process = _begin(stopper, words, environment, folder / f"beside-{name}")
+            words = _words(run, command, values)
+            process = _begin(run, stopper, words, environment, folder / f"beside-{name}")
             beside.append(process)
-            if "--json" in words:
+            if tells(command):
                 values |= _ready(name, process, folder / f"beside-{name}.out", run, stopper)
         for name, command in study.arm_commands(run.arm).items():
-            words = fill(shlex.split(command), values)
-            process = _begin(stopper, words, environment, folder / name)
+            words = _words(run, command, values)
+            process = _begin(run, stopper, words, environment, folder / name)
             try:
                 status = process.wait()
             finally:
@@ -127,11 +127,34 @@ def perform(study: Study, run: PlannedRun, folder: Path, stopper: Stopper) -> Js
     return columns
 
 
-def _begin(stopper: Stopper, words: list[str], environment: Mapping[str, str], path: Path) -> subprocess.Popen[bytes]:
-    """Begins a command of `nmes`, the one that this is; what it prints goes to files of that name."""
+def _words(run: PlannedRun, command: str, values: Mapping[str, Setting | list[Setting]]) -> list[str]:
+    """Returns the words of a command of a run.
+
+    Raises:
+        StudyError: Nothing stands for a placeholder (`command_failed`).
+    """
+    try:
+        return fill(shlex.split(command), values)
+    except KeyError as error:
+        missing = f"no text and no number was printed that {{{error.args[0]}}} stands for"
+        raise StudyError("command_failed", f"{run}: {command}\n{missing}") from None
+
+
+def _begin(
+    run: PlannedRun, stopper: Stopper, words: list[str], environment: Mapping[str, str], path: Path
+) -> subprocess.Popen[bytes]:
+    """Begins a command of `nmes`, the one that this is; what it prints goes to files of that name.
+
+    Raises:
+        StudyError: It cannot be begun (`command_failed`).
+        Stopped: It is too late for that.
+    """
     command = [sys.executable, "-m", "nmes", *words[1:]]
     with open(f"{path}.out", "wb") as out, open(f"{path}.err", "wb") as errors:
-        return stopper.begin(command, environment, out, errors)
+        try:
+            return stopper.begin(command, environment, out, errors)
+        except (OSError, ValueError) as error:  # what was printed is too long for a word of it, or has a zero
+            raise StudyError("command_failed", f"{run}: nmes {words[1]} cannot be begun: {error}") from error
 
 
 def _ready(
@@ -168,14 +191,21 @@ def _columns(study: Study, name: str, status: int, folder: Path, blame: str) -> 
     columns: JsonObject = {column: float(status) for column, place in wanted.items() if place == "status"}
     pointers = {column: place for column, place in wanted.items() if place != "status"}
     printed = _read(folder / f"{name}.out", blame) if pointers else None
-    return columns | {column: _at(printed, pointer, blame) for column, pointer in pointers.items()}
+    return columns | {column: _as_double(_at(printed, pointer, blame)) for column, pointer in pointers.items()}
 
 
 def _printed(name: str, commands: Iterable[str], folder: Path, blame: str) -> dict[str, Setting | list[Setting]]:
     """Returns the values of placeholders such as `{record/0/recordings/0}` of later commands."""
     names = [place for command in commands for place in PLACE.findall(command) if place.startswith(f"{name}/")]
     printed = _read(folder / f"{name}.out", blame) if names else None
-    return {place: str(_at(printed, place.removeprefix(name), blame)) for place in names}
+    values: dict[str, Setting | list[Setting]] = {}
+    for place in names:
+        pointer = place.removeprefix(name)
+        value = _at(printed, pointer, blame)
+        if value is None:
+            raise StudyError("command_failed", f"{blame}printed null at {pointer}: nothing that a command can be given")
+        values[place] = value
+    return values
 
 
 def _read(path: Path, blame: str) -> Any:
@@ -188,19 +218,22 @@ def _read(path: Path, blame: str) -> Any:
         raise StudyError("command_failed", f"{blame}printed no JSON: {error}") from error
 
 
-def _at(value: Any, pointer: str, blame: str) -> str | float | bool | None:
-    """Returns the value at a place of a command's output: a single value, numbers as doubles."""
+def _as_double(value: Setting | None) -> Setting | None:
+    """Returns a value as columns have it: numbers as doubles."""
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _at(value: Any, pointer: str, blame: str) -> Setting | None:
+    """Returns the value at a place of a command's output: a single value, as it was printed."""
     for key in pointer.split("/")[1:]:
         try:
             value = _in_list(value, key) if isinstance(value, list) else value[key]
         except (LookupError, TypeError, ValueError):
             raise StudyError("command_failed", f"{blame}printed nothing at {pointer}") from None
-    if isinstance(value, bool) or value is None:
-        return value
-    if isinstance(value, int | float) and abs(value) <= GREATEST:  # which NaN is not
-        return float(value)
-    if isinstance(value, str) and len(value) <= _LONGEST:
-        return value
+    number = isinstance(value, int | float) and abs(value) <= GREATEST  # which NaN is not
+    if number or value is None or (isinstance(value, str) and len(value) <= _LONGEST):
+        found: Setting | None = value
+        return found
     raise StudyError("command_failed", f"{blame}printed no text and no number up to {GREATEST:g} at {pointer}")
 
 

@@ -22,7 +22,19 @@ from nmes.errors import DocumentError, StudyError, WorldError
 from nmes.objective import Condition
 from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, complete, did_you_mean
 
-__all__ = ["BUDGETS", "COMPARISONS", "PLACE", "Plan", "PlannedRun", "Setting", "Study", "condition", "fill"]
+__all__ = [
+    "BUDGETS",
+    "COMPARISONS",
+    "PLACE",
+    "Plan",
+    "PlannedRun",
+    "Setting",
+    "Study",
+    "condition",
+    "fill",
+    "settle",
+    "tells",
+]
 
 BUDGETS: Final = ("small", "full")
 COMPARISONS: Final = ("improvement", "difference", "equal")
@@ -315,20 +327,12 @@ class Study:
             return
         yield from self._cell_problems(budget)
         for place, arm in enumerate(self.document["arms"]):
-            values = self._values(budget, arm, self.document["factors"])
-            known = {*values, *_OWN}
-            for name, value in values.items():
-                for inner in PLACE.findall(_text(value)) if name not in self.document["factors"] else ():
-                    if inner not in known:
-                        yield f"arms/{place}", f"setting {name}: there is nothing that {{{inner}}} stands for"
-            beside: Mapping[str, str] = arm.get("beside", {})
-            before = list[str]()  # the commands whose output is there
-            for command, text in [*((None, text) for text in beside.values()), *self.arm_commands(arm).items()]:
-                for name in PLACE.findall(text):
-                    told = name.partition("/")[0] in before or name.partition(".")[0] in beside
-                    if name not in known and not told:
-                        yield f"arms/{place}", f"there is nothing that {{{name}}} stands for{did_you_mean(name, known)}"
-                before += [] if command is None else [command]
+            yield from _place_problems(
+                f"arms/{place}",
+                self._values(budget, arm, self.document["factors"]),
+                arm.get("beside", {}),
+                self.arm_commands(arm),
+            )
 
     def _cell_problems(self, budget: str) -> Iterator[tuple[str, str]]:
         """Yields the values that would be of no runs of a budget, or compare arms that have not the same cells."""
@@ -363,12 +367,29 @@ def condition(text: str, values: Mapping[str, object]) -> Condition:
     return Condition(text, "condition", names=names, parts={"low": tuple(values), "high": tuple(values)})
 
 
+def tells(command: str) -> bool:
+    """Tells whether a command beside prints a line of JSON, in which there is what placeholders stand for."""
+    return "--json" in command.split()
+
+
+def settle(
+    settings: Mapping[str, Setting | list[Setting]], folders: Mapping[str, str]
+) -> dict[str, Setting | list[Setting]]:
+    """Returns settings and folders, in the settings what their placeholders stand for.
+
+    Folders are taken as they are: their names may have braces.
+    """
+    values = {**settings, **folders}
+    settled: dict[str, Setting | list[Setting]] = {name: _settled(value, values) for name, value in settings.items()}
+    return {**settled, **folders}
+
+
 def fill(words: list[str], values: Mapping[str, Setting | list[Setting]]) -> list[str]:
     """Returns the words of a command with what its placeholders stand for; a list stands for several words.
 
-    What a placeholder stands for may have placeholders itself, but of these none may.
+    Raises:
+        KeyError: Nothing stands for one.
     """
-    values = {name: _filled(value, values) for name, value in values.items()}
     filled: list[str] = []
     for word in words:
         whole = PLACE.fullmatch(word)
@@ -376,21 +397,52 @@ def fill(words: list[str], values: Mapping[str, Setting | list[Setting]]) -> lis
         if isinstance(value, list):
             filled += map(_text, value)
         else:
-            filled.append(PLACE.sub(lambda place: _text(values[place[1]]), word))
+            filled.append(_filled(word, values))
     return filled
 
 
-def _filled(value: Setting | list[Setting], values: Mapping[str, Setting | list[Setting]]) -> Setting | list[Setting]:
+def _settled(value: Setting | list[Setting], values: Mapping[str, Setting | list[Setting]]) -> Setting | list[Setting]:
     """Returns a setting with what the placeholders in it stand for."""
     if isinstance(value, list):
-        return [PLACE.sub(lambda place: _text(values[place[1]]), _text(each)) for each in value]
-    return PLACE.sub(lambda place: _text(values[place[1]]), value) if isinstance(value, str) else value
+        return [_filled(_text(each), values) for each in value]
+    return _filled(value, values) if isinstance(value, str) else value
+
+
+def _filled(text: str, values: Mapping[str, Setting | list[Setting]]) -> str:
+    """Returns a text with what the placeholders in it stand for, of which none is looked for placeholders again."""
+    return PLACE.sub(lambda place: _text(values[place[1]]), text)
 
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
         return " ".join(map(_text, value))
+    if isinstance(value, bool):
+        return "true" if value else "false"
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def _place_problems(
+    path: str,
+    settings: Mapping[str, Setting | list[Setting]],
+    beside: Mapping[str, str],
+    commands: Mapping[str, str],
+) -> Iterator[tuple[str, str]]:
+    """Yields the placeholders of an arm that nothing would stand for."""
+    known = {*settings, *_OWN}
+    for name, value in settings.items():
+        for inner in PLACE.findall(_text(value)):
+            if inner not in known:
+                yield path, f"setting {name}: there is nothing that {{{inner}}} stands for"
+            elif inner not in _OWN and (further := PLACE.search(_text(settings[inner]))) is not None:
+                yield path, f"setting {name}: {{{inner}}} stands for {further[0]}, which has to stand there itself"
+    printed = list[str]()  # what the names of that begin with which is printed before a command: `host.`, `record/`
+    for end, each in ((".", beside), ("/", commands)):
+        for command, text in each.items():
+            for name in PLACE.findall(text):
+                if name not in known and not name.startswith(tuple(printed)):
+                    yield path, f"there is nothing that {{{name}}} stands for{did_you_mean(name, known)}"
+            if end == "/" or tells(text):
+                printed.append(command + end)
 
 
 def _unknown(path: str, name: str, known: Mapping[str, object], what: str) -> Iterator[tuple[str, str]]:

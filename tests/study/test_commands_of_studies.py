@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -46,3 +47,88 @@ def test_a_column_of_statuses_takes_none_of_a_command_that_did_not_do_its_work(
     watch(monkeypatch, lambda words, process: process.kill())
     result = run("study", "run", folder, "--jobs", "1")
     assert result.exit_code == 1 and f"{told}was killed by signal 9: it said nothing" in result.output
+
+
+# -- what commands are given ------------------------------------------------------------------------------------------
+
+
+TASK = {"format": "nmes-task/1", "name": "any", "duration": 1, "seeds": [1], "objective": "height"}
+
+
+def told(folder: Path, arm: str = "", **commands: str) -> str:
+    """Runs a study in which a command fails, beside whose `study.toml` there is a task; returns what is said."""
+    make_bare_study(folder, commands, dict.fromkeys(commands, f"{next(iter(commands))} status"), arm)
+    (folder / "any.json").write_text(json.dumps({**TASK, "description": "Of {braces}, {seed}."}))
+    result = run("study", "run", folder, "--jobs", "1")
+    assert result.exit_code == 1, result.output
+    return result.output
+
+
+@pytest.mark.parametrize(
+    ("pointer", "words"),
+    [
+        ("/limits/cubes", "nmes tasks 32 no"),
+        ("/settle", "nmes tasks 0.5 no"),
+        ("/development", "nmes tasks true no"),
+        ("/objective/0", "printed nothing at /objective/0"),
+    ],
+)
+def test_what_a_command_has_printed_is_given_to_others_as_it_was(pointer: str, words: str, tmp_path: Path) -> None:
+    commands = {"first": "nmes tasks injury --json", "told": f"nmes tasks {{first{pointer}}} no"}
+    assert words in told(tmp_path / "bare", **commands)
+
+
+def test_null_is_nothing_that_a_command_can_be_given(tmp_path: Path) -> None:
+    commands = {"first": "nmes backends --json", "told": "nmes tasks {first/0/defect}"}
+    assert "nmes backends --json\nprinted null at /0/defect" in told(tmp_path / "bare", **commands)
+
+
+def test_only_settings_have_placeholders_that_are_filled(tmp_path: Path) -> None:
+    folder = tmp_path / "{none} {seed}"
+    commands = {"first": "nmes tasks {task} --json", "told": "nmes tasks '{which} {first/description}' no"}
+    output = told(folder, 'settings = { task = "{study}/any.json", which = "seed {seed} of {study}:" }', **commands)
+    assert f"nmes tasks 'seed 1 of {folder}: Of {{braces}}, {{seed}}.' no\n" in output
+
+
+@pytest.mark.parametrize(
+    ("arm", "words"),
+    [
+        ('beside = { host = "nmes serve --port 0" }', "there is nothing that {host.port} stands for"),
+        (
+            'beside = { host = "nmes serve --json", one = "nmes worlds {last.port}", last = "nmes serve --json" }',
+            "there is nothing that {last.port} stands for",
+        ),
+    ],
+)
+def test_a_placeholder_of_what_no_command_has_printed_yet_is_refused(arm: str, words: str, tmp_path: Path) -> None:
+    assert words in told(tmp_path / "bare", arm, check=CHECK, told="nmes worlds {host.port}")
+
+
+def test_a_placeholder_of_a_whole_output_is_refused(tmp_path: Path) -> None:
+    output = told(tmp_path / "bare", check=CHECK, told="nmes tasks {check}")
+    assert "there is nothing that {check} stands for" in output
+
+
+def test_a_value_of_a_factor_has_no_placeholder_of_nothing(tmp_path: Path) -> None:
+    folder = make_bare_study(tmp_path / "bare", {"check": "nmes genome check {name}"}, {"status": "check status"})
+    path = folder / "study.toml"
+    path.write_text(path.read_text().replace("[commands]", '[factors]\nname = ["{nobody}"]\n\n[commands]'))
+    result = run("study", "run", folder)
+    assert result.exit_code == 1 and "setting name: there is nothing that {nobody} stands for" in result.output
+
+
+@pytest.mark.parametrize("name", ["nothing", "worlds"])
+def test_what_a_command_beside_does_not_print_is_told(name: str, tmp_path: Path) -> None:
+    arm = 'beside = { host = "nmes serve --backend ballistic --port 0 --no-record --json" }'
+    output = told(tmp_path / "bare", arm, told=f"nmes worlds {{host.{name}}}")
+    assert f"run 0 (arm only, seed 1): nmes worlds {{host.{name}}}\n" in output
+    assert f"no text and no number was printed that {{host.{name}}} stands for" in output
+
+
+def test_what_no_command_line_can_hold_is_told(tmp_path: Path) -> None:
+    commands = {"first": "nmes tasks {study}/zero.json --json", "told": "nmes tasks {first/description}"}
+    folder = tmp_path / "bare"
+    make_bare_study(folder, commands, {"status": "told status"})
+    (folder / "zero.json").write_text(json.dumps({**TASK, "description": "A \0."}))
+    result = run("study", "run", folder, "--jobs", "1")
+    assert result.exit_code == 1 and "cannot be begun: embedded null byte" in result.output, result.output

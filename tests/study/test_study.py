@@ -448,7 +448,7 @@ def test_commands_see_what_runs_beside_them_and_what_was_printed_before(tmp_path
         + """
 [commands]
 worlds = "nmes worlds {host.host}:{host.port} --password {host.password} --json"
-again = "nmes worlds {host.host}:{host.port} --password {host.password} --world {worlds/0/world} --json"
+again = "nmes worlds {host.host}:{worlds/0/port} --password {host.password} --world {worlds/0/world} --json"
 failing = "nmes genome diff walker {words} --json"
 
 [columns]
@@ -545,6 +545,7 @@ def test_an_arm_may_be_run_in_some_cells_alone_and_is_compared_where_both_are(tm
         ('"m"', '"m"\nwhere = { size = 1 }', "figures/0/where: there is no factor size"),
         ('about = "It swings."', 'about = "\\u0000"', "arms/0/about: it has a character of the code 0"),
         ('"It swings."', '"."\nenvironment = { "A=B" = "" }', "arms/0/environment: 'A=B' cannot be the name of a"),
+        ('{ genome = "still" }', '{ genome = "{kind}", kind = "{seed}" }', "setting genome: {kind} stands for {seed}"),
         ("nmes eval", "nmes eval '", "commands/score: it is no command line: no closing quotation"),
         ("[settings]", "[scales.f]\n1 = 0\n[settings]", "scales/f/1"),
         ("[settings]", "[settings", "is no TOML"),

@@ -104,7 +104,7 @@ minutes = 0.1
 
 
 def make_bare_study(folder: Path, commands: Mapping[str, str], columns: Mapping[str, str], arm: str = "") -> Path:
-    """Writes a study of one arm, with these commands and columns, to a new folder; `arm` is what the arm has of its own."""
+    """Writes a study of one arm to a new folder; `arm` is what that arm has of its own."""
     folder.mkdir(parents=True)
     text = _BARE.replace("ARM", arm)
     for place, lines in (("COMMANDS", commands), ("COLUMNS", columns)):
