@@ -94,19 +94,19 @@ def perform(study: Study, run: PlannedRun, folder: Path, stopper: Stopper) -> Js
         stopper: Ends it half way.
 
     Raises:
-        StudyError: A command fails, or does not print what a column asks for (`command_failed`).
+        StudyError: A command fails, or does not print what a column asks for, or one beside ends before the others
+            (`command_failed`).
         Stopped: It was stopped.
     """
     values = settle(run.values, {"run": str(folder), "study": str(study.folder)})
     environment = {name: value for name, value in os.environ.items() if name != "NMES_PASSWORD"}
     environment |= run.arm.get("environment", {})
     columns: JsonObject = dict.fromkeys(study.document["columns"])
-    beside: list[subprocess.Popen[bytes]] = []
+    beside: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for name, command in run.arm.get("beside", {}).items():
             words = _words(run, command, values)
-            process = _begin(run, stopper, words, environment, folder / f"beside-{name}")
-            beside.append(process)
+            process = beside[name] = _begin(run, stopper, words, environment, folder / f"beside-{name}")
             if tells(command):
                 values |= _ready(name, process, folder / f"beside-{name}.out", run, stopper)
         for name, command in study.arm_commands(run.arm).items():
@@ -118,11 +118,12 @@ def perform(study: Study, run: PlannedRun, folder: Path, stopper: Stopper) -> Js
                 stopper.end(process)
             if stopper.stopped:
                 raise Stopped
+            _check_beside(run, beside, folder)  # first: what came of a command is worth nothing without them
             told = f"{run}: {shlex.join(words)}\n"
             columns |= _columns(study, name, status, folder, told)
             values |= _printed(name, study.arm_commands(run.arm).values(), folder, told)
     finally:
-        for process in beside:
+        for process in beside.values():
             stopper.end(process)
     return columns
 
@@ -177,6 +178,19 @@ def _ready(
         raise StudyError("command_failed", f"{run}: {name}, beside it, printed no line of JSON: {error}") from error
     items = told.items() if isinstance(told, dict) else ()
     return {f"{name}.{key}": value for key, value in items if isinstance(value, str | int | float)}
+
+
+def _check_beside(run: PlannedRun, beside: Mapping[str, subprocess.Popen[bytes]], folder: Path) -> None:
+    """Judges whether all commands beside a run still run.
+
+    Raises:
+        StudyError: One has ended, in whichever way: from then on nothing was beside the run (`command_failed`).
+    """
+    for name, process in beside.items():
+        status = process.poll()
+        if status is not None:
+            told = f"{run}: {name}, beside it, did not last until the others were done: it {_end(status)}"
+            raise StudyError("command_failed", f"{told}: {_said(folder / f'beside-{name}.err')}")
 
 
 def _columns(study: Study, name: str, status: int, folder: Path, blame: str) -> JsonObject:

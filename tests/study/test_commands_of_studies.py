@@ -132,3 +132,53 @@ def test_what_no_command_line_can_hold_is_told(tmp_path: Path) -> None:
     (folder / "zero.json").write_text(json.dumps({**TASK, "description": "A \0."}))
     result = run("study", "run", folder, "--jobs", "1")
     assert result.exit_code == 1 and "cannot be begun: embedded null byte" in result.output, result.output
+
+
+# -- what is beside them ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("nmes serve --no-such-option", "ended with status 2: "),
+        ("nmes genome check walker", "ended with status 0: it said nothing"),
+    ],
+)
+def test_a_command_beside_that_ends_before_the_others_stops_the_study(
+    command: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def begun(words: list[str], process: subprocess.Popen[bytes]) -> None:
+        if "--json" not in words:
+            process.wait()
+
+    watch(monkeypatch, begun)
+    folder = make_bare_study(
+        tmp_path / "bare", {"check": CHECK}, {"status": "check status"}, f'beside = {{ load = "{command}" }}'
+    )
+    result = run("study", "run", folder, "--jobs", "1")
+    assert result.exit_code == 1
+    told = f"run 0 (arm only, seed 1): load, beside it, did not last until the others were done: it {words}"
+    assert told in result.output, result.output
+    assert not list(folder.glob("work/*/done/*"))
+
+
+def test_a_host_that_dies_beside_commands_is_told_and_not_what_they_say_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hosts: list[subprocess.Popen[bytes]] = []
+
+    def begun(words: list[str], process: subprocess.Popen[bytes]) -> None:
+        if "serve" in words:
+            hosts.append(process)
+        else:
+            hosts[-1].kill()
+            hosts[-1].wait()
+
+    watch(monkeypatch, begun)
+    commands = {"worlds": "nmes worlds {host.host}:{host.port} --password {host.password}"}
+    arm = 'beside = { host = "nmes serve --backend ballistic --port 0 --no-record --json" }'
+    result = run(
+        "study", "run", make_bare_study(tmp_path / "bare", commands, {"s": "worlds status"}, arm), "--jobs", "1"
+    )
+    assert result.exit_code == 1
+    assert "host, beside it, did not last until the others were done: it was killed by signal 9" in result.output
