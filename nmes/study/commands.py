@@ -1,7 +1,7 @@
 """One run of a study: its `nmes` commands, one after another, in processes of their own, and what they print.
 
 Hides processes: how commands find what stands for their placeholders, what runs beside them, and that nothing of a run
-goes on when it is over, or when it is stopped half way.
+goes on when it is over, when it is stopped half way, or when the process that does it is killed.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import threading
@@ -27,10 +28,25 @@ __all__ = ["Stopped", "Stopper", "perform"]
 
 _PATIENCE: Final = 10.0  # s that a command is given to end when it is told to
 _LOOK: Final = 0.02  # s between looks at what a command beside has printed
+_WATCH: Final = 1.0  # s between looks at whether all is stopped: a command may be one that measures
 _PRINTED: Final = 64 << 20  # bytes of what a command prints
 _LONGEST: Final = 1000  # characters of a column
 _WRONG_USAGE: Final = 2  # the status of a command that could not do what it was asked
 _TOLD: Final = 8  # lines of what a command that failed said
+_TIED: Final = """\
+import os, signal, sys, threading
+
+def end():
+    os.read(line, 1)
+    os.killpg(0, signal.SIGKILL)
+
+line = int(sys.argv.pop(1))
+threading.Thread(target=end, daemon=True).start()
+
+from nmes.cli import main
+main(prog_name="nmes")
+"""
+"""What a command runs: `nmes`, which is killed with all that it has begun when the pipe ends that it is given."""
 
 
 class Stopped(Exception):
@@ -38,50 +54,86 @@ class Stopped(Exception):
 
 
 class Stopper:
-    """Stops all runs that are under way: from then on no process of theirs is begun, and those that are there end."""
+    """Stops all runs that are under way: from then on no process of theirs is begun, and those that are there end.
+
+    Each process is a group with all that it begins, and ends by itself, with its group, when this process is no more.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._lines: dict[subprocess.Popen[bytes], int] = {}  # the end of a pipe, of which each process has the other
         self.stopped = False
 
     def begin(
         self, words: list[str], environment: Mapping[str, str], out: IO[bytes], errors: IO[bytes]
     ) -> subprocess.Popen[bytes]:
-        """Begins a process.
+        """Begins a command of `nmes`, the one that this is.
+
+        Args:
+            words: What follows `nmes`.
+            environment: Its variables.
+            out: Where its standard output goes.
+            errors: Where its standard error goes.
 
         Raises:
             Stopped: It is too late for that.
+            OSError: The system cannot begin it.
+            ValueError: A word has what none can have, such as a character of the code 0.
         """
         with self._lock:
             if self.stopped:
                 raise Stopped
-            process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=out, stderr=errors, env=dict(environment)
-            )
-            self._processes.add(process)
+            theirs, ours = os.pipe()
+            try:
+                process = subprocess.Popen(
+                    [sys.executable, "-c", _TIED, str(theirs), *words],
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=errors,
+                    env=dict(environment),
+                    pass_fds=[theirs],
+                    process_group=0,
+                )
+            except BaseException:
+                os.close(ours)
+                raise
+            finally:
+                os.close(theirs)
+            self._lines[process] = ours
         return process
+
+    def wait(self, process: subprocess.Popen[bytes]) -> int:
+        """Waits until a process has ended by itself; returns its status.
+
+        Raises:
+            Stopped: Everything was stopped before it had.
+        """
+        status = None
+        while status is None and not self.stopped:
+            with suppress(subprocess.TimeoutExpired):
+                status = process.wait(_WATCH)
+        if status is None or self.stopped:
+            raise Stopped
+        return status
 
     def end(self, process: subprocess.Popen[bytes]) -> None:
         """Ends a process, if it has not ended by itself."""
-        with suppress(ProcessLookupError):
-            process.terminate()
+        process.terminate()
         try:
             process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
-            process.kill()
+            os.killpg(process.pid, signal.SIGKILL)  # nobody else has this number: it was not waited for yet
             process.wait()
         with self._lock:
-            self._processes.discard(process)
+            os.close(self._lines.pop(process))
 
     def stop(self) -> None:
         """Stops everything."""
         with self._lock:
             self.stopped = True
-            processes = list(self._processes)
+            processes = list(self._lines)
         for process in processes:
-            with suppress(ProcessLookupError):
-                process.terminate()
+            process.terminate()
 
 
 def perform(study: Study, run: PlannedRun, folder: Path, stopper: Stopper) -> JsonObject:
@@ -113,11 +165,9 @@ def perform(study: Study, run: PlannedRun, folder: Path, stopper: Stopper) -> Js
             words = _words(run, command, values)
             process = _begin(run, stopper, words, environment, folder / name)
             try:
-                status = process.wait()
+                status = stopper.wait(process)
             finally:
                 stopper.end(process)
-            if stopper.stopped:
-                raise Stopped
             _check_beside(run, beside, folder)  # first: what came of a command is worth nothing without them
             told = f"{run}: {shlex.join(words)}\n"
             columns |= _columns(study, name, status, folder, told)
@@ -144,16 +194,15 @@ def _words(run: PlannedRun, command: str, values: Mapping[str, Setting | list[Se
 def _begin(
     run: PlannedRun, stopper: Stopper, words: list[str], environment: Mapping[str, str], path: Path
 ) -> subprocess.Popen[bytes]:
-    """Begins a command of `nmes`, the one that this is; what it prints goes to files of that name.
+    """Begins a command; what it prints goes to files of that name.
 
     Raises:
         StudyError: It cannot be begun (`command_failed`).
         Stopped: It is too late for that.
     """
-    command = [sys.executable, "-m", "nmes", *words[1:]]
     with open(f"{path}.out", "wb") as out, open(f"{path}.err", "wb") as errors:
         try:
-            return stopper.begin(command, environment, out, errors)
+            return stopper.begin(words[1:], environment, out, errors)
         except (OSError, ValueError) as error:  # what was printed is too long for a word of it, or has a zero
             raise StudyError("command_failed", f"{run}: nmes {words[1]} cannot be begun: {error}") from error
 

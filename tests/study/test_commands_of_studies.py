@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import socket
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +14,10 @@ from typing import Any
 import pytest
 
 from command_line import run
+from nmes.study import Study, run_study
 from nmes.study.commands import Stopper
+from processes import process
+from servers import PATIENCE
 from studies import make_bare_study
 
 CHECK = "nmes genome check walker --json"
@@ -25,9 +31,9 @@ def watch(monkeypatch: pytest.MonkeyPatch, begun: Begun) -> None:
 
     class Watched(Stopper):
         def begin(self, words: list[str], *others: Any) -> subprocess.Popen[bytes]:
-            process = super().begin(words, *others)
-            begun(words, process)
-            return process
+            command = super().begin(words, *others)
+            begun(words, command)
+            return command
 
     monkeypatch.setattr("nmes.study.run.Stopper", Watched)
 
@@ -44,7 +50,7 @@ def test_a_column_of_statuses_takes_none_of_a_command_that_did_not_do_its_work(
     result = run("study", "run", folder, "--jobs", "1")
     assert result.exit_code == 1
     assert f"{told}ended with status 2: " in result.output and "there is no file nobody" in result.output
-    watch(monkeypatch, lambda words, process: process.kill())
+    watch(monkeypatch, lambda words, begun: begun.kill())
     result = run("study", "run", folder, "--jobs", "1")
     assert result.exit_code == 1 and f"{told}was killed by signal 9: it said nothing" in result.output
 
@@ -147,9 +153,9 @@ def test_what_no_command_line_can_hold_is_told(tmp_path: Path) -> None:
 def test_a_command_beside_that_ends_before_the_others_stops_the_study(
     command: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def begun(words: list[str], process: subprocess.Popen[bytes]) -> None:
+    def begun(words: list[str], beside: subprocess.Popen[bytes]) -> None:
         if "--json" not in words:
-            process.wait()
+            beside.wait()
 
     watch(monkeypatch, begun)
     folder = make_bare_study(
@@ -167,9 +173,9 @@ def test_a_host_that_dies_beside_commands_is_told_and_not_what_they_say_of_it(
 ) -> None:
     hosts: list[subprocess.Popen[bytes]] = []
 
-    def begun(words: list[str], process: subprocess.Popen[bytes]) -> None:
+    def begun(words: list[str], command: subprocess.Popen[bytes]) -> None:
         if "serve" in words:
-            hosts.append(process)
+            hosts.append(command)
         else:
             hosts[-1].kill()
             hosts[-1].wait()
@@ -182,3 +188,61 @@ def test_a_host_that_dies_beside_commands_is_told_and_not_what_they_say_of_it(
     )
     assert result.exit_code == 1
     assert "host, beside it, did not last until the others were done: it was killed by signal 9" in result.output
+
+
+# -- when they are to end ---------------------------------------------------------------------------------------------
+
+
+def test_a_command_that_does_not_end_when_it_is_told_to_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands: list[subprocess.Popen[bytes]] = []
+
+    def begun(words: list[str], command: subprocess.Popen[bytes]) -> None:
+        command.send_signal(signal.SIGSTOP)  # from then on SIGTERM is for later
+        commands.append(command)
+
+    def interrupt(done: int, total: int) -> None:
+        if commands:
+            raise KeyboardInterrupt
+
+    watch(monkeypatch, begun)
+    monkeypatch.setattr("nmes.study.commands._PATIENCE", 0.1)
+    plan = Study.load(make_bare_study(tmp_path / "bare", {"check": CHECK}, {"status": "check status"})).plan("small")
+    with pytest.raises(KeyboardInterrupt):
+        run_study(plan, 1, interrupt)
+    assert [command.returncode for command in commands] == [-signal.SIGKILL]
+
+
+def test_commands_end_when_the_study_is_killed(tmp_path: Path) -> None:
+    serve = "nmes serve --backend ballistic --port 0 --no-record --json"
+    folder = make_bare_study(
+        tmp_path / "bare", {"serve": serve}, {"status": "serve status"}, f'beside = {{ host = "{serve}" }}'
+    )
+    with process("study", "run", str(folder), "--jobs", "1") as study:
+        ports = [_port(study, folder, name) for name in ("beside-host", "serve")]
+        study.kill()
+        study.wait(PATIENCE)
+    until = time.monotonic() + PATIENCE
+    while any(map(_answers, ports)):
+        assert time.monotonic() < until, "a command goes on without its study"
+        time.sleep(0.01)
+
+
+def _port(study: subprocess.Popen[str], folder: Path, name: str) -> int:
+    """Returns the port of a host that a study runs, once it is told."""
+    while study.poll() is None:
+        for path in folder.glob(f"work/*/under-way/*/{name}.out"):
+            line, feed, _ = path.read_text().partition("\n")
+            if feed:
+                return int(json.loads(line)["port"])
+        time.sleep(0.01)
+    raise AssertionError(study.communicate())
+
+
+def _answers(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), PATIENCE).close()
+    except ConnectionError:
+        return False
+    return True
