@@ -81,7 +81,7 @@ def do_runs(
         Each with its columns, as soon as it is done.
 
     Raises:
-        StudyError: As of `perform`.
+        StudyError: As of `perform`, once none is under way any more: those that were done meanwhile are yielded before.
     """
     shutil.rmtree(folder, ignore_errors=True)  # what a kill has left
     stopper, waiting, count = Stopper(), list(reversed(list(runs))), 0
@@ -97,25 +97,30 @@ def do_runs(
 
     with ThreadPoolExecutor(jobs) as pool:
         under_way: dict[Future[JsonObject], PlannedRun] = {}
+        failures: list[BaseException] = []
         try:
             tell(0)
-            while waiting or under_way:
-                while waiting and len(under_way) < jobs:
+            while under_way or (waiting and not failures):
+                while waiting and not failures and len(under_way) < jobs:
                     run = waiting.pop()
                     under_way[pool.submit(do, run)] = run
-                for future in wait(under_way, _LOOK, FIRST_COMPLETED).done:
-                    run = under_way.pop(future)
-                    columns = future.result()
-                    count += 1
-                    yield run, columns
+                ended = wait(under_way, _LOOK, FIRST_COMPLETED).done
+                for future in sorted(ended, key=lambda each: under_way[each].number):
+                    run, failure = under_way.pop(future), future.exception()
+                    if failure is None:
+                        count += 1
+                        yield run, future.result()
+                    elif not isinstance(failure, Stopped):
+                        failures.append(failure)
+                if failures:
+                    stopper.stop()
                 tell(count)
+            if failures:
+                raise failures[0]
         finally:
             stopper.stop()
             for future in under_way:
-                try:
-                    future.result()
-                except (Stopped, StudyError):  # of runs that were cut off
-                    continue
+                future.exception()  # waits until it is cut off
     shutil.rmtree(folder, ignore_errors=True)
 
 

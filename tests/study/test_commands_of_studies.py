@@ -6,16 +6,21 @@ import json
 import signal
 import socket
 import subprocess
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from command_line import run
+from nmes.errors import StudyError
 from nmes.study import Study, run_study
 from nmes.study.commands import Stopper
+from nmes.study.document import PlannedRun
+from nmes.study.run import count_done
 from processes import process
 from servers import PATIENCE
 from studies import make_bare_study
@@ -246,3 +251,54 @@ def _answers(port: int) -> bool:
     except ConnectionError:
         return False
     return True
+
+
+# -- runs that fail beside others -------------------------------------------------------------------------------------
+
+
+def test_runs_that_are_done_when_others_fail_are_kept_and_the_first_failure_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = Study.load(make_bare_study(tmp_path / "bare", {"check": CHECK}, {"status": "check status"})).plan("small")
+    together = threading.Barrier(3)
+
+    def perform(study: Study, run: PlannedRun, *others: object) -> dict[str, object]:
+        together.wait(PATIENCE)
+        if run.number == 1:
+            return {"status": 0.0}
+        raise StudyError("command_failed", f"run {run.number} failed")
+
+    def all_done(futures: Iterable[Future[Any]], *others: object) -> Any:
+        return wait(futures, PATIENCE)
+
+    monkeypatch.setattr("nmes.study.run.perform", perform)
+    monkeypatch.setattr("nmes.study.run.wait", all_done)
+    with pytest.raises(StudyError, match="run 0 failed"):
+        run_study(plan, 3, lambda done, total: None)
+    assert count_done(plan) == 1
+
+
+def test_a_run_that_is_done_while_another_is_told_to_have_failed_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = Study.load(make_bare_study(tmp_path / "bare", {"check": CHECK}, {"status": "check status"})).plan("small")
+    began, stopped = threading.Event(), threading.Event()
+
+    class Told(Stopper):
+        def stop(self) -> None:
+            super().stop()
+            stopped.set()
+
+    def perform(study: Study, run: PlannedRun, *others: object) -> dict[str, object]:
+        if run.number == 0:
+            began.wait(PATIENCE)
+            raise StudyError("command_failed", f"run {run.number} failed")
+        began.set()
+        stopped.wait(PATIENCE)
+        return {"status": 0.0}
+
+    monkeypatch.setattr("nmes.study.run.perform", perform)
+    monkeypatch.setattr("nmes.study.run.Stopper", Told)
+    with pytest.raises(StudyError, match="run 0 failed"):
+        run_study(plan, 2, lambda done, total: None)
+    assert count_done(plan) == 1  # and the third was not begun
