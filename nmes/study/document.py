@@ -21,6 +21,7 @@ from typing import Any, Final
 from nmes.errors import DocumentError, StudyError, WorldError
 from nmes.objective import Condition
 from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, complete, did_you_mean
+from nmes.schemas.files import read_regular
 
 __all__ = [
     "BUDGETS",
@@ -142,7 +143,7 @@ class Study:
             folder = Path("studies") / folder
         path = folder / "study.toml"
         try:
-            text = _bounded(path, _LARGEST).decode()
+            text = read_regular(path, _LARGEST).decode()
             if any(line.count(".") > _POINTS for line in text.splitlines()):
                 raise StudyError(
                     "no_study", f"{path}: a line has over {_POINTS} points: a key may be of that many parts"
@@ -212,13 +213,24 @@ class Study:
         return {**self.document["settings"], **own, **arm.get("settings", {}), **cell}
 
     def _files(self) -> dict[str, str]:
-        """Returns the digest of each document beside `study.toml`, which commands may read; hidden files are none."""
+        """Returns the digest of each document beside `study.toml`, which commands may read; hidden files are none.
+
+        Raises:
+            StudyError: One cannot be read, or there is a folder, which is not looked into (`no_study`).
+        """
         try:
             names = sorted(path.name for path in self.folder.iterdir() if path.name not in _WRITTEN)
             found = [self.folder / name for name in names if not name.startswith(".")]
-            return {path.name: sha256(_bounded(path, _FILE)).hexdigest() for path in found if path.is_file()}
+            for path in found:
+                path.name.encode()
+                if path.is_dir():
+                    advice = "documents of a study lie beside its study.toml, where a change of them is noticed"
+                    raise StudyError("no_study", f"{path} is a folder: {advice}")
+            return {path.name: sha256(read_regular(path, _FILE)).hexdigest() for path in found if path.is_file()}
         except OSError as error:
             raise StudyError("no_study", f"cannot read {error.filename}: {error.strerror}") from error
+        except UnicodeEncodeError as error:
+            raise StudyError("no_study", f"{self.folder}: the name {error.object!r} is not in UTF-8") from error
 
     # -- what is judged beyond the schema ------------------------------------------------------------------------
 
@@ -470,17 +482,3 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{text} is no finite number")
     return value
-
-
-def _bounded(path: Path, most: int) -> bytes:
-    """Reads a file of at most so many bytes.
-
-    Raises:
-        OSError: It cannot be read.
-        DocumentError: It is larger.
-    """
-    with path.open("rb") as file:
-        text = file.read(most + 1)
-    if len(text) > most:
-        raise DocumentError([("", f"{path} has over {most >> 20} MiB")])
-    return text

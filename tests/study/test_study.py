@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -257,6 +258,37 @@ def test_a_hidden_file_is_no_document_of_a_study(copied: Path) -> None:
     assert verify(copied, "--sample", "0")[0] == 0
     (copied / "other.json").write_text("{}")
     assert verify(copied, "--sample", "0")[0] == 1
+
+
+def test_a_study_with_a_folder_is_refused_since_no_change_in_it_would_be_noticed(copied: Path) -> None:
+    (copied / ".hidden").mkdir()
+    assert verify(copied, "--sample", "0")[0] == 0
+    (copied / "genomes").mkdir()
+    for command in ("run", "verify", "report"):
+        result = run("study", command, copied)
+        assert result.exit_code == 1
+        assert f"{copied / 'genomes'} is a folder: documents of a study lie beside its study.toml" in result.output
+
+
+def test_a_document_whose_name_is_no_text_is_refused(copied: Path) -> None:
+    Path(os.fsdecode(os.fsencode(copied) + b"/\xff.json")).write_text("{}")
+    result = run("study", "verify", copied, "--sample", "0")
+    assert result.exit_code == 1 and "is not in UTF-8" in result.output
+
+
+def test_a_study_that_is_too_large_is_refused(copied: Path) -> None:
+    os.truncate(copied / "slide.json", (64 << 20) + 1)
+    result = run("study", "verify", copied, "--sample", "0")
+    assert result.exit_code == 1 and "slide.json: it has over 67,108,864 bytes" in result.output
+    os.truncate(copied / "study.toml", (1 << 20) + 1)
+    result = run("study", "verify", copied, "--sample", "0")
+    assert result.exit_code == 1 and "study.toml: it has over 1,048,576 bytes" in result.output
+
+
+def test_a_pipe_is_no_study(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "study.toml")
+    result = run("study", "report", tmp_path)
+    assert result.exit_code == 1 and "study.toml: it is no regular file" in result.output
 
 
 # -- kills ------------------------------------------------------------------------------------------------------------
