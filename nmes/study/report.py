@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Final
 
 from nmes.errors import StudyError, visible
+from nmes.schemas.files import read_regular
 from nmes.study.claims import Verdict, evaluate, judge
 from nmes.study.document import COMPARISONS, Plan
 from nmes.study.figures import draw_figures
@@ -102,14 +102,17 @@ def _discussion(plan: Plan, values: Mapping[str, Estimate], found: Mapping[str, 
     """Yields the lines of the discussion with its values filled in.
 
     Raises:
-        StudyError: It has a number of its own, or names a value that there is none of (`bad_discussion`).
+        StudyError: It cannot be read, has a number of its own, or names a value that there is none of
+            (`bad_discussion`).
     """
     path = plan.folder / "discussion.md"
     if not path.exists():
         return
     try:
-        text = _text(path)
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_regular(path, _LARGEST).decode()
+    except OSError as error:
+        raise StudyError("bad_discussion", f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
         raise StudyError("bad_discussion", f"cannot read {path}: {error}") from error
     known: dict[str, str] = {f"verdict.{name}": verdict for name, verdict in found.items()}
     for name, value in values.items():
@@ -148,11 +151,6 @@ def _texts(value: object) -> Iterator[str]:
         yield str(value)
         if isinstance(value, int):
             yield f"{value:,}"
-
-
-def _text(path: Path) -> str:
-    with path.open("rb") as file:
-        return file.read(_LARGEST).decode()
 
 
 def _criteria(plan: Plan, found: Mapping[str, Verdict]) -> Iterator[str]:

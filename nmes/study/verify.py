@@ -13,6 +13,7 @@ from typing import Any, Final, Literal
 from nmes.errors import DocumentError, StudyError
 from nmes.evaluation.again import MODEL, has_model, unforeseen
 from nmes.schemas.documents import JsonObject, parse_document
+from nmes.schemas.files import read_regular
 from nmes.study.claims import evaluate
 from nmes.study.document import Plan, PlannedRun
 from nmes.study.report import REPORT, verdicts, written
@@ -23,6 +24,7 @@ from nmes.variation.draw import Draw
 __all__ = ["StudyVerdict", "verify_study"]
 
 _MOST: Final = 20  # findings that are kept
+_LARGEST: Final = 64 << 20  # bytes of a file of a report
 _SHOWN: Final = 60  # characters of a value in a finding
 
 
@@ -154,7 +156,7 @@ def _compare_files(folder: Path, expected: dict[str, bytes]) -> list[str]:
     for name, content in expected.items():
         path = folder / name
         try:
-            there = path.read_bytes()
+            there = read_regular(path, _LARGEST)
         except OSError as error:
             findings.append(f"{path} cannot be read: {error.strerror}")
             continue

@@ -291,6 +291,24 @@ def test_a_pipe_is_no_study(tmp_path: Path) -> None:
     assert result.exit_code == 1 and "study.toml: it is no regular file" in result.output
 
 
+def test_a_discussion_that_is_too_long_is_refused_and_not_cut(copied: Path) -> None:
+    (copied / "small/discussion.md").write_text("Words. " * 150_000)
+    for command in (("report",), ("verify", "--sample", "0")):
+        result = run("study", command[0], copied, *command[1:])
+        assert result.exit_code == 1 and "discussion.md: it has over 1,048,576 bytes" in result.output
+
+
+def test_a_report_that_is_a_pipe_or_has_no_end_is_not_read(copied: Path) -> None:
+    report = copied / "small/REPORT.md"
+    os.truncate(report, (64 << 20) + 1)
+    status, output = verify(copied, "--sample", "0")
+    assert status == 1 and "REPORT.md cannot be read: it has over 67,108,864 bytes" in output
+    report.unlink()
+    os.mkfifo(report)
+    status, output = verify(copied, "--sample", "0")
+    assert status == 1 and "REPORT.md cannot be read: it is no regular file" in output
+
+
 # -- kills ------------------------------------------------------------------------------------------------------------
 
 
