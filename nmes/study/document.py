@@ -421,7 +421,7 @@ def _settled(value: Setting | list[Setting], values: Mapping[str, Setting | list
 
 
 def _filled(text: str, values: Mapping[str, Setting | list[Setting]]) -> str:
-    """Returns a text with what the placeholders in it stand for, of which none is looked for placeholders again."""
+    """Returns a text with what its placeholders stand for, as it is, braces and all."""
     return PLACE.sub(lambda place: _text(values[place[1]]), text)
 
 
