@@ -86,7 +86,8 @@ def film(
         progress: Called with what is being done, how much of it is done, and how much there is.
 
     Raises:
-        RecordingError: A tick does not come out as recorded (`diverged`).
+        RecordingError: A tick does not come out as recorded (`diverged`), or recorded poses are none
+            (`recording_damaged`).
         FilmError: There is nothing to show (`nothing_to_see`), the ending is not known (`unknown_format`), the file
             cannot be written (`cannot_write`), or `target` names no cube (`cube_not_found`).
         WorldError: `unsupported`: no OpenGL works here.

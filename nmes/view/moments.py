@@ -5,7 +5,7 @@ It hides which of the two is possible on this machine.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +15,13 @@ from nmes.errors import FilmError, RecordingError
 from nmes.playback import replay, watch
 from nmes.playback.report import fingerprint_differences
 from nmes.recording import Kind, Recording
-from nmes.recording.viewer_messages import Shape, decode_poses, decode_shapes
+from nmes.recording.viewer_messages import Pose, Shape, decode_poses, decode_shapes
 from nmes.world import World
 
 __all__ = ["Moment", "moments"]
+
+_FARTHEST = float(np.finfo(np.float32).max)  # of the numbers of a recorded pose: they are float32
+_SHORTEST = 1e-3  # length of a quaternion, which is 1 but for rounding: one that is near 0 is no rotation
 
 
 class Moment(NamedTuple):
@@ -52,7 +55,8 @@ def moments(recording: Recording, begin: float = 0.0) -> Iterator[Moment]:
         begin: The time of the first moment that is wanted, s since the recording began.
 
     Raises:
-        RecordingError: A tick does not come out as recorded (`diverged`).
+        RecordingError: A tick does not come out as recorded (`diverged`), or what the file holds for viewers is no
+            scene or no pose (`recording_damaged`).
         FilmError: There is neither the engine nor poses (`nothing_to_see`).
     """
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
@@ -90,11 +94,11 @@ def _recorded(recording: Recording) -> Iterator[Moment]:
         try:
             poses = decode_poses(record.data) if record.kind is Kind.POSES else {}
             shapes = decode_shapes(record.data, shapes) if record.kind is Kind.SCENE else shapes
+            cubes = {name: shapes[name] for name in poses if name in shapes}
+            rows = _rows({name: poses[name] for name in cubes})
         except ValueError as error:
             raise RecordingError("recording_damaged", f"{recording.path}: record {record.sequence}: {error}") from error
         if record.kind is Kind.POSES:
-            cubes = {name: shapes[name] for name in poses if name in shapes}
-            rows = np.array([poses[name] for name in cubes], float).reshape(-1, 7)
             now = Moment(ticks / rate, recording.config["seed"], cubes, rows)
             if last is not None:
                 yield from _between(last, now, rate)
@@ -106,6 +110,20 @@ def _recorded(recording: Recording) -> Iterator[Moment]:
             f"{recording.path} was made by another engine or machine, so it cannot be run again here exactly, and it "
             "holds no poses",
         )
+
+
+def _rows(poses: Mapping[str, Pose]) -> Array:
+    """Returns poses as an array (n, 7).
+
+    Raises:
+        ValueError: One has a number that no recorder writes, or a quaternion that is no rotation.
+    """
+    rows = np.array([*poses.values()], float).reshape(-1, 7)
+    sound = (np.abs(rows) <= _FARTHEST).all(axis=1)
+    sound[sound] = np.linalg.norm(rows[sound, 3:], axis=1) > _SHORTEST
+    if not sound.all():
+        raise ValueError(f"the pose of cube {[*poses][int(sound.argmin())]!r} is no position and rotation")
+    return rows
 
 
 def _between(first: Moment, second: Moment, rate: int) -> Iterator[Moment]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from click.testing import CliRunner
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from PIL import Image, ImageSequence
 
 from nmes.backend import fingerprint as fingerprints
@@ -25,7 +27,7 @@ from nmes.view.film import Cut, film
 from nmes.view.moments import moments
 from nmes.view.part_colors import visible_shapes
 from nmes.world import World
-from recordings import record, send
+from recordings import Line, changed, first, record, rewrite, send
 
 Pixels = npt.NDArray[np.uint8]
 
@@ -118,6 +120,35 @@ def test_a_recording_of_another_machine_is_filmed_from_its_poses(
     assert list(ticks[-1].shapes) == ["red", "green_BASE", "blue_BASE"]
     with pytest.raises(FilmError, match="holds no poses"):
         list(moments(alien(monkeypatch, tmp_path / "blind.mcap", pose_rate=0)))
+
+
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("rotation", (0, 0, 0, 0)),
+        ("rotation", (0, 0, 0, np.nan)),
+        ("rotation", (0, 0, 1e300, 0)),
+        ("translation", (np.inf, 0, 0)),
+        ("translation", (1e300, 0, 0)),
+    ],
+)
+def test_a_recorded_pose_that_is_none_is_told_as_damage(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, field: str, values: tuple[float, ...]
+) -> None:
+    """Others write recordings too: in theirs a rotation that was left out is (0, 0, 0, 0)."""
+    source = alien(monkeypatch, tmp_path / "alien.mcap").path
+
+    def spoil(lines: list[Line]) -> list[Line]:
+        at = first(lines, "/tf", len(lines) // 2)
+        message = FrameTransforms.FromString(lines[at].data)
+        for axis, value in zip("xyzw", values, strict=False):
+            setattr(getattr(message.transforms[1], field), axis, value)
+        return changed(lines, at, message.SerializeToString())
+
+    path = rewrite(source, tmp_path / "spoilt.mcap", spoil)
+    status, output = run(path, "-o", tmp_path / "x.png")
+    assert status == 1
+    assert re.search(r"spoilt\.mcap: record \d+: the pose of cube 'green_BASE' is no position and rotation", output)
 
 
 def test_time_in_a_film_goes_on_over_a_reset(tmp_path: Path) -> None:
