@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import cos, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,6 +23,7 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.errors import MachineError
+from nmes.server.door import cannot_listen
 from nmes.view.canvas import Canvas, load_rerun
 
 if TYPE_CHECKING:
@@ -157,28 +158,19 @@ def screen(
     Raises:
         MissingPackage: Rerun is not installed.
         OSError: The file cannot be written, as on a full disk.
-        MachineError: There is no display for a window (`no_display`), or Rerun does not begin to listen (`no_viewer`).
+        MachineError: There is no display for a window (`no_display`), Rerun does not begin to listen or ends too early
+            (`no_viewer`), or the address is taken or not of this machine (`cannot_listen`).
     """
     stream = load_rerun().RecordingStream("nmes", send_properties=False)
     stream.send_recording_name(name)
     if save is not None:
-        if save.is_file():
-            save.write_bytes(bytes(_BEGINS))  # where there is no room for it, Rerun would wait for ever
-        try:
-            stream.save(str(save))
+        with _written(stream, save):
             yield Screen(stream)
-            stream.flush(timeout_sec=_WRITES)
-        except RuntimeError as error:  # what Rerun raises, of whatever its writer's thread met
-            raise OSError(f"Rerun cannot go on writing: {error}") from error
-        finally:
-            stream.disconnect()
-        if save.is_file():
-            _check_end(save)
         return
     if not web and not has_display():
         message = "there is no display for a window: use --web for a browser, or --save for a file"
         raise MachineError("no_display", message)
-    grpc, http = _free_port(host), port or _free_port(host)
+    grpc, http = _free_port(host), _free_port(host, port)
     options = ["--serve-web", "--web-viewer-port", str(http)] if web else ["--expect-data-soon"]
     process = subprocess.Popen(
         [sys.executable, "-m", "rerun_cli", "--bind", host, "--port", str(grpc), *options],
@@ -187,20 +179,44 @@ def screen(
         stdin=subprocess.DEVNULL,
         start_new_session=True,
     )
+    ends = True  # with the context
     try:
         _await(process, host, [grpc, http] if web else [grpc])
+        ends = web
         reached = f"rerun+http://{host}:{grpc}/proxy"
         stream.connect_grpc(reached)
         address = f"http://{host}:{http}/?url={quote(reached, safe='')}" if web else None
         yield Screen(stream, address, process)
-        stream.flush()
+        _flush(stream, process if web else None)
     finally:
         stream.disconnect()
-        if web:
+        if ends:
             # The program is a child of the one that was started, so that only its port tells when it is gone.
-            os.killpg(process.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it ended by itself
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             _await_end(host, http)
+
+
+@contextmanager
+def _written(stream: rr.RecordingStream, path: Path) -> Iterator[None]:
+    """Writes a stream to a file, which is whole at the end of the context.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    if path.is_file():
+        path.write_bytes(bytes(_BEGINS))  # where there is no room for it, Rerun would wait for ever
+    try:
+        stream.save(str(path))
+        yield
+        stream.flush(timeout_sec=_WRITES)
+    except RuntimeError as error:  # what Rerun raises, of whatever its writer's thread met
+        raise OSError(f"Rerun cannot go on writing: {error}") from error
+    finally:
+        stream.disconnect()
+    if path.is_file():
+        _check_end(path)
 
 
 def _check_end(path: Path) -> None:
@@ -210,9 +226,32 @@ def _check_end(path: Path) -> None:
             raise OSError("Rerun wrote no end: is the disk full?")
 
 
-def _free_port(host: str) -> int:
-    with socket.create_server((host, 0)) as server:
-        return int(server.getsockname()[1])
+def _flush(stream: rr.RecordingStream, served: subprocess.Popen[bytes] | None) -> None:
+    """Sends all that waits; `served` is the program that shows it to browsers, which must be there still.
+
+    Raises:
+        MachineError: `no_viewer`.
+    """
+    message = "Rerun has ended, or takes nothing more: what it was to show is not all there"
+    try:
+        stream.flush()
+    except RuntimeError as error:  # what Rerun raises
+        raise MachineError("no_viewer", message) from error
+    if served is not None and served.poll() is not None:
+        raise MachineError("no_viewer", message)
+
+
+def _free_port(host: str, port: int = 0) -> int:
+    """Returns a port on which nobody listens: the one that is asked for, or any for 0.
+
+    Raises:
+        MachineError: `cannot_listen`.
+    """
+    try:
+        with socket.create_server((host, port)) as server:
+            return int(server.getsockname()[1])
+    except OSError as error:
+        raise cannot_listen(host, port, error) from error
 
 
 def _await_end(host: str, port: int) -> None:
@@ -236,3 +275,5 @@ def _await(process: subprocess.Popen[bytes], host: str, ports: Sequence[int]) ->
                 if process.poll() is not None or time.monotonic() > until:
                     raise MachineError("no_viewer", f"Rerun does not begin to listen on {host}:{port}") from error
                 time.sleep(0.05)
+    if process.poll() is not None:  # whoever listens there is another
+        raise MachineError("no_viewer", f"Rerun ended when it began to listen on {host}:{ports[-1]}")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 from urllib.error import URLError
@@ -22,8 +25,9 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from nmes import Client
-from nmes.errors import CommandFailed, WorldError
+from nmes.errors import CommandFailed, MachineError, WorldError
 from nmes.server.metrics import Metrics
+from nmes.view.screen import screen
 from nmes.world import World
 from nmes.world.commands import COMMANDS
 from recordings import Line, record, rewrite, send
@@ -508,6 +512,55 @@ def colors(pixels: np.ndarray[Any, np.dtype[Any]]) -> set[str]:
         if (area[..., channel] - area[..., others].max(axis=2) > 25).sum() > 50:
             names.add(name)
     return names
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_a_viewer_that_ends_too_early_is_told_as_such(browsable: tuple[subprocess.Popen[str], str]) -> None:
+    process, _ = browsable
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    (group,) = {os.getpgid(int(child)) for child in children}
+    os.killpg(group, signal.SIGKILL)
+    output, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert "Traceback" not in output and output.splitlines()[-1].startswith("Error: Rerun has ended")
+
+
+def test_a_viewer_that_does_not_start_is_told_as_such(recording: Path, environment: dict[str, str]) -> None:
+    failing = shutil.which("false")
+    assert failing is not None
+    run = view({**environment, "RERUN_CLI_PATH": failing}, recording, "--web")
+    assert run.returncode == 1 and "Look at" not in run.stdout
+    assert run.stderr.startswith("Error: Rerun does not begin to listen on 127.0.0.1:")
+
+
+def test_a_port_that_another_listens_on_is_refused(recording: Path, environment: dict[str, str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        run = view(environment, recording, "--web", "--port", str(port))
+    assert (run.returncode, run.stdout) == (1, "")
+    assert run.stderr == f"Error: cannot listen on 127.0.0.1:{port}: {os.strerror(errno.EADDRINUSE)}\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_a_window_that_does_not_come_up_is_not_left_running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def left() -> list[str]:
+        """The processes that have the path of the program below in their environment."""
+        found = []
+        for folder in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if folder.name != str(os.getpid()) and os.fsencode(program) in (folder / "environ").read_bytes():
+                    found.append(folder.name)
+        return found
+
+    program = tmp_path / "rerun"
+    program.write_text("#!/bin/sh\nexec sleep 600\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("RERUN_CLI_PATH", str(program))
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("nmes.view.screen._LISTENS", 0.0)
+    with pytest.raises(MachineError, match="does not begin to listen"), screen("nothing"):
+        pass
+    until(lambda: not left())
 
 
 def test_without_a_display_the_error_says_what_to_do(recording: Path, environment: dict[str, str]) -> None:
