@@ -116,7 +116,9 @@ def _show(recordings: list[Recording], display: Screen, fps: float) -> None:
     for recording, root in zip(recordings, roots, strict=True):
         with progress_bars() as progress:
             done = partial(progress, f"running {recording.path.name}")
-            sight = show_recording(recording, display.stream, root, fps=fps, progress=done)
+            sight = show_recording(
+                recording, display.stream, root, fps=fps, keep_places=len(recordings) == 2, progress=done
+            )
         worlds[root] = sight.canvas
         places.append(sight.places)
         click.echo(visible(f"{recording.path}: {sight.report.verdict}"))

@@ -75,7 +75,8 @@ def _run_again(recording: Recording, begin: float) -> Iterator[Moment]:
         aims = [world.all_creatures.find(name).target for name in world.all_creatures.names()]
         targets = tuple(dict.fromkeys(aim for aim in aims if aim is not None and not isinstance(aim, str)))
         food = tuple((x, y, z) for x, y, z in world.entities.food.tolist())
-        return world.seed, shapes, world.poses()[1][:, :7], targets, food
+        poses = world.poses()[1][:, :7].copy()  # a view would keep all of the states
+        return world.seed, shapes, poses, targets, food
 
     first = recording.start().frame
     start = recording.start(max(min(first + int(begin * rate), recording.last_frame) - 1, first))

@@ -5,7 +5,7 @@ It hides how the clients' commands are brought in step with the ticks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -36,7 +36,19 @@ _EVERY_TICK = frozenset({"step", "drive", "sense", "ping", "compute_reward"})
 
 Json = Mapping[str, Any]
 
-Places = tuple[float, dict[str, Array]]  # s, and where each cube was then
+
+class Places(NamedTuple):
+    """Where cubes were at a time.
+
+    Attributes:
+        time: s since the recording began.
+        names: The cubes'.
+        positions: Array (n, 3), m.
+    """
+
+    time: float
+    names: Collection[str]
+    positions: Array
 
 
 class Showing(NamedTuple):
@@ -45,7 +57,7 @@ class Showing(NamedTuple):
     Attributes:
         report: The verdict of its replay.
         canvas: Where it was drawn.
-        places: Where all cubes were at the times that were drawn.
+        places: Where all cubes were at the times that were drawn; empty where that was not asked for.
     """
 
     report: ReplayReport
@@ -98,6 +110,7 @@ def show_recording(
     root: str,
     *,
     fps: float = 30.0,
+    keep_places: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Showing:
     """Runs a recording again and draws it, with its commands, the forces they applied, and where it diverges.
@@ -107,13 +120,17 @@ def show_recording(
         stream: The Rerun stream to draw to.
         root: The entity under which all of it stands.
         fps: How often cubes are drawn, in Hz of simulation time. Forces and commands are shown at their own ticks.
+        keep_places: Whether to keep where all cubes were, for `show_drift`.
         progress: Called with how many ticks are done, and how many there are.
     """
     rate: int = recording.config["tick_rate"]
     canvas = Canvas(stream, root, load_backend(recording.config["backend"]).dims == 2)
     report = replay(recording)
     observer, inputs = _Observer(max(1, round(rate / fps))), _Inputs(recording, canvas, rate)
-    places = _draw(recording, canvas, observer, inputs, progress)
+    places: list[Places] = []
+    for time, sight in _draw(recording, canvas, observer, inputs, progress):
+        if keep_places:
+            places.append(Places(time, sight.shapes, sight.poses[:, :3].copy()))  # a view would keep all of the states
     for name, values in observer.series.curves().items():
         canvas.curve(name, observer.series.times, values)
     inputs.plot()
@@ -126,12 +143,11 @@ def show_recording(
 
 def _draw(
     recording: Recording, canvas: Canvas, observer: _Observer, inputs: _Inputs, progress: Callable[[int, int], None]
-) -> list[Places]:
-    """Draws the world tick by tick; returns where its cubes were at the times that were drawn."""
+) -> Iterator[tuple[float, _Sight]]:
+    """Draws the world tick by tick; yields the times that were drawn, s, and what was seen then."""
     rate: int = recording.config["tick_rate"]
     total = recording.summary().ticks
     seed, tick = None, 0
-    places: list[Places] = []
     for tick, sight in enumerate(watch(recording, observer.look, keep_going=True), start=1):
         progress(tick, total)
         inputs.show(tick)
@@ -144,9 +160,9 @@ def _draw(
         if canvas.cubes(sight.shapes, sight.poses):
             canvas.joints(sight.joints)
         canvas.contacts(sight.points, sight.forces)
-        places.append((tick / rate, inputs.place(sight.shapes, sight.poses[:, :3])))
+        inputs.place(sight.shapes, sight.poses[:, :3])
+        yield tick / rate, sight
     inputs.show(tick + 1)
-    return places
 
 
 def _draw_score(recording: Recording, canvas: Canvas) -> None:
@@ -161,12 +177,14 @@ def _draw_score(recording: Recording, canvas: Canvas) -> None:
 
 def show_drift(stream: rr.RecordingStream, first: Sequence[Places], second: Sequence[Places]) -> None:
     """Plots how far the cubes of two recordings are apart: those of the same name, at the same times."""
-    others = dict(second)
-    for seconds, places in first:
-        other = others.get(seconds, {})
-        apart = [float(np.linalg.norm(at - other[name])) for name, at in places.items() if name in other]
+    others = {places.time: places for places in second}
+    for time, names, positions in first:
+        there = others.get(time)
+        other = {} if there is None else dict(zip(there.names, there.positions, strict=True))
+        both = zip(names, positions, strict=True)
+        apart = [float(np.linalg.norm(at - other[name])) for name, at in both if name in other]
         if apart:
-            stream.set_time("time", duration=seconds)
+            stream.set_time("time", duration=time)
             stream.log(["drift", "at most (m)"], load_rerun().Scalars(max(apart)))
             stream.log(["drift", "mean (m)"], load_rerun().Scalars(sum(apart) / len(apart)))
 
@@ -191,10 +209,9 @@ class _Inputs:
         self._places: dict[str, Array] = {}
         self._rewards: dict[str, list[tuple[float, float]]] = {}
 
-    def place(self, shapes: Mapping[str, Shape], positions: Array) -> dict[str, Array]:
-        """Notes where cubes are, for the forces that act at their middles; returns their positions by name."""
-        self._places = dict(zip(shapes, positions, strict=True))
-        return self._places
+    def place(self, names: Collection[str], positions: Array) -> None:
+        """Notes where cubes are, for the forces that act at their middles."""
+        self._places = dict(zip(names, positions, strict=True))
 
     def show(self, tick: int) -> None:
         """Writes the lines of the inputs before a tick, and draws the forces that acted in it."""

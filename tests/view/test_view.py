@@ -26,7 +26,11 @@ from rerun.chunk import RrdReader
 
 from nmes import Client
 from nmes.errors import CommandFailed, MachineError, WorldError
+from nmes.recording import Recording
 from nmes.server.metrics import Metrics
+from nmes.view.canvas import load_rerun
+from nmes.view.moments import moments
+from nmes.view.recordings import show_recording
 from nmes.view.screen import screen
 from nmes.world import World
 from nmes.world.commands import COMMANDS
@@ -255,6 +259,23 @@ def test_two_recordings_stand_side_by_side_with_their_drift(tmp_path: Path, envi
     drift = {row["time"]: row["Scalars:scalars"][0] for row in rows["/drift/at\\ most\\ \\(m\\)"]}
     assert drift[1.0] == pytest.approx(2.0, abs=1e-6)
     assert drift[0.5] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_where_cubes_were_is_kept_only_to_be_compared(recording: Path) -> None:
+    """And then that alone: what is kept grows with ticks and cubes."""
+    source, stream = Recording(recording), load_rerun().RecordingStream("test")
+    assert not show_recording(source, stream, "one").places
+    kept = show_recording(source, stream, "one", keep_places=True).places
+    assert [round(places.time * 60) for places in kept] == list(range(2, 61, 2))
+    for places in kept:
+        assert places.positions == pytest.approx(np.array([*seen[round(places.time * 60)].values()])[:, :3])
+        assert owned(places.positions) == places.positions.nbytes
+    assert all(owned(moment.poses) == moment.poses.nbytes for moment in moments(source))
+
+
+def owned(array: np.ndarray[Any, Any]) -> int:
+    """The bytes that an array keeps in memory, those of the array that it is a view of among them."""
+    return array.nbytes if array.base is None else max(array.nbytes, owned(array.base))
 
 
 def test_a_planar_world_is_drawn_in_the_plane(tmp_path: Path, environment: dict[str, str]) -> None:
