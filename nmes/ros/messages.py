@@ -7,6 +7,7 @@ and all that has a direction is turned with it; what is told of joints is the sa
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -135,13 +136,15 @@ def pose_stamped(world: World, cube: str, ros2: bool) -> JsonObject:
     return {"header": _header(world, ros2), "pose": {"position": position, "orientation": orientation}}
 
 
-def frames_of(world: World) -> list[bytes]:
-    """Returns the names of the frames of a world's cubes, as JSON."""
-    return [write_json(ros_name(name)) for name in world.cubes()]
+def frames_of(world: World) -> list[bytes | None]:
+    """Returns the names of the frames of a world's cubes, as JSON; None where another, or the world, has it too."""
+    names = [ros_name(name) for name in world.cubes()]
+    counts = Counter([WORLD_FRAME, *names])
+    return [write_json(name) if counts[name] == 1 else None for name in names]
 
 
-def transforms(world: World, ros2: bool, frames: Sequence[bytes]) -> JsonObject:
-    """Returns tf2_msgs/TFMessage: from the world to each of its cubes.
+def transforms(world: World, ros2: bool, frames: Sequence[bytes | None]) -> JsonObject:
+    """Returns tf2_msgs/TFMessage: from the world to each of its cubes that has a frame, of `frames_of`.
 
     The list is JSON already: of 5,000 cubes it is made after each tick, and making objects first takes five times as
     long.
@@ -149,7 +152,7 @@ def transforms(world: World, ros2: bool, frames: Sequence[bytes]) -> JsonObject:
     head, states = write_json(_header(world, ros2)), world.entities.states()
     turned = np.ascontiguousarray(states[:, _ROS_AXES] * _ROS_SIGNS)
     rows = dumps(turned, option=OPT_SERIALIZE_NUMPY)[2:-2].split(b"],[")
-    told = [_TRANSFORM % (head, frame, *row.split(b",")) for frame, row in zip(frames, rows, strict=False)]
+    told = [_TRANSFORM % (head, frame, *row.split(b",")) for frame, row in zip(frames, rows, strict=False) if frame]
     return {"transforms": Fragment(b"[%b]" % b",".join(told))}
 
 

@@ -293,6 +293,27 @@ def test_all_cubes_are_told_as_each_alone(count: int) -> None:
         assert (alone["header"], alone["pose"]) == (each["header"], pose)
 
 
+def test_cubes_whose_frames_would_have_one_name_have_none() -> None:
+    """Two places of one frame would contradict each other, and tf2 refuses a frame that is below itself."""
+    world = World(LOCKSTEP)
+    client, views = world.join(), Views()
+
+    def frames() -> dict[str, float]:
+        text = views.text(world, "/tf", ros2=False)
+        assert text is not None
+        told = json.loads(text)["msg"]["transforms"]
+        return {each["child_frame_id"]: each["transform"]["translation"]["x"] for each in told}
+
+    for number, name in enumerate(("a-b", "alone", "a_b", "world", "last")):
+        send(world, client, type="spawn_cube", cube_name=name, position=[3.0 * number, 2.0, 0.0])
+    assert frames() == {"alone": 3.0, "last": 12.0}
+    send(world, client, type="despawn_cube", cube_name="a_b")
+    assert frames() == {"a_b": 0.0, "alone": 3.0, "last": 12.0}
+    for name in ("a-b", "alone", "last"):
+        send(world, client, type="despawn_cube", cube_name=name)
+    assert frames() == {}
+
+
 def test_the_list_of_all_topics_is_made_once_for_the_same_topics() -> None:
     world = World(LOCKSTEP)
     views, asked, names = Views(), [], []
