@@ -11,7 +11,7 @@ import click
 
 from nmes.cli._output import whole_file
 from nmes.errors import visible
-from nmes.view.chart import round_numbers, text
+from nmes.view.chart import in_reach, round_numbers, text
 from nmes.view.raster import write_png
 
 __all__ = ["Bars", "Curves", "write_plot"]
@@ -81,7 +81,7 @@ class Curves:
                 yield f'<text {place} fill="{color}">{text(_fitting(name))}</text>'
 
     def _scaled(self, value: float) -> float:
-        return value if self.floor is None else math.log10(max(value, self.floor))
+        return in_reach(value) if self.floor is None else math.log10(max(value, self.floor))
 
     def _ticks(self, values: Sequence[float]) -> list[float]:
         """Returns the numbers at the scale: two or more round ones, round all values."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from statistics import quantiles
 from typing import Protocol
+
+from nmes.objective.means import quartiles
 
 __all__ = ["History", "OperatorRecord", "Origin", "Window", "milestones"]
 
@@ -189,5 +190,4 @@ class History:
         groups: dict[str, int] = {}
         for row in rows:
             groups[row.group] = groups.get(row.group, 0) + 1
-        low, middle, high = quantiles(scores, n=4, method="inclusive") if len(scores) > 1 else (0.0, 0.0, 0.0)
-        return Window(begin, end, (low, middle, high) if len(scores) > 1 else None, groups)
+        return Window(begin, end, quartiles(scores) if len(scores) > 1 else None, groups)

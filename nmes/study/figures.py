@@ -13,7 +13,7 @@ from nmes.study.claims import arm_numbers
 from nmes.study.document import Plan
 from nmes.study.results import Results
 from nmes.study.statistics import Estimate, estimate, iqm
-from nmes.view.chart import Picture, number, round_numbers, short, text
+from nmes.view.chart import Picture, in_reach, number, round_numbers, short, text
 
 __all__ = ["draw_figures"]
 
@@ -60,7 +60,7 @@ def _intervals(name: str, title: str, unit: str, rows: Sequence[tuple[str, Array
 
 def _x(value: float, steps: Sequence[float]) -> float:
     """Returns the place of a number, pixels from the left."""
-    return _LABEL + (_WIDE - _LABEL - _FIGURE) * (value - steps[0]) / (steps[-1] - steps[0])
+    return _LABEL + (_WIDE - _LABEL - _FIGURE) * (in_reach(value) - steps[0]) / (steps[-1] - steps[0])
 
 
 def _axis(steps: Sequence[float], height: float, unit: str) -> Iterator[str]:

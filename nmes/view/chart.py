@@ -16,12 +16,23 @@ from math import floor, isfinite, log10
 from nmes.backend import Image as Pixels
 from nmes.errors import visible
 
-__all__ = ["STYLE", "Chart", "Picture", "number", "png_source", "round_numbers", "short", "text"]
+__all__ = [
+    "STYLE",
+    "Chart",
+    "Picture",
+    "between",
+    "in_reach",
+    "number",
+    "png_source",
+    "round_numbers",
+    "short",
+    "text",
+]
 
 WIDTH = 980
 LEFT, RIGHT, TOP, BOTTOM = 72, 24, 16, 48  # round the plane of a chart, pixels
 _LINE = 15  # of text, pixels
-_FARTHEST = 1e300  # on an axis: the distance of numbers beyond may be greater than any number
+_FARTHEST = 1e300  # in a picture: the distance of numbers beyond may be greater than any number
 _LETTER = 0.56  # mean width of a letter, of its size
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7a5195", "#8a8d91")
 _DARK_SERIES = ("#4aa8e0", "#ff8a4c", "#3cc79a", "#e29ac4", "#e2b84a", "#8fd0f5", "#b48ad0", "#a4a8ae")
@@ -104,23 +115,23 @@ class Chart:
         right: float = RIGHT,
         widened: bool = True,
     ) -> None:
-        across, upward = ((max(least, -_FARTHEST), min(most, _FARTHEST)) for least, most in (across, upward))
+        across, upward = ((in_reach(least), in_reach(most)) for least, most in (across, upward))
         self._steps = round_numbers(*upward)
         numbers = round_numbers(*across)
         self._across = across if across[1] > across[0] else (numbers[0], numbers[-1])
-        self._upward = (self._steps[0], self._steps[-1]) if widened else upward
+        self._upward = upward if not widened and upward[1] > upward[0] else (self._steps[0], self._steps[-1])
         self.left, self.top, self.plane_width, self.plane_height = LEFT, TOP, WIDTH - LEFT - right, height
         self.width, self.height = float(WIDTH), TOP + height + BOTTOM
 
     def x(self, value: float) -> float:
         """Returns the place of a number of the lower axis, pixels from the left."""
         low, high = self._across
-        return self.left + self.plane_width * (value - low) / (high - low)
+        return self.left + self.plane_width * (in_reach(value) - low) / (high - low)
 
     def y(self, value: float) -> float:
         """Returns the place of a number of the left axis, pixels from the top."""
         low, high = self._upward
-        return self.top + self.plane_height * (1.0 - (value - low) / (high - low))
+        return self.top + self.plane_height * (1.0 - (in_reach(value) - low) / (high - low))
 
     def path(self, points: Sequence[tuple[float, float]]) -> str:
         """Returns the points of a line as `points` of an SVG element has them."""
@@ -143,14 +154,26 @@ class Chart:
         yield f'<text class="ink" {turn} text-anchor="middle">{text(short(upward, 44))}</text>'
 
 
+def in_reach(value: float) -> float:
+    """Returns a number, or the farthest that pictures have: the distance of farther ones may be greater than any."""
+    return min(max(value, -_FARTHEST), _FARTHEST)
+
+
+def between(value: float, least: float, most: float) -> float:
+    """Returns how far a number is from one to another: 0 at the least, 1 at the most, or where both are one."""
+    least, most = in_reach(least), in_reach(most)
+    return (in_reach(value) - least) / (most - least) if most > least else 1.0
+
+
 def round_numbers(least: float, most: float, *, inside: bool = False) -> list[float]:
-    """Returns the numbers of an axis: two or more round ones at equal distances, round a range.
+    """Returns the numbers of an axis: two or more round ones at equal distances, round a range that is `in_reach`.
 
     Args:
         least: The lower end of the range.
         most: The upper end.
         inside: Whether those outside the range are left out.
     """
+    least, most = in_reach(least), in_reach(most)
     apart = 1e-9 * max(abs(least), abs(most), 1.0)  # what is nearer to each other is one number
     most = max(most, least + apart)
     step = 10.0 ** floor(log10(most - least))

@@ -15,7 +15,7 @@ from nmes.evolution.algorithm import Measure
 from nmes.evolution.history import Origin
 from nmes.genome.body import Body
 from nmes.genome.preview import render_cutout
-from nmes.view.chart import LEFT, TOP, WIDTH, Chart, Picture, number, png_source, text
+from nmes.view.chart import LEFT, TOP, WIDTH, Chart, Picture, between, number, png_source, text
 
 __all__ = ["archive_map"]
 
@@ -109,9 +109,7 @@ class _Plane:
 
     def _color(self, score: float | None) -> str:
         """Returns the colour of a score; where there is none, that of the lowest."""
-        span = self.high - self.low
-        part = 1.0 if span <= 0.0 else ((self.low if score is None else score) - self.low) / span
-        place = part * (len(_RAMP) - 1)
+        place = between(self.low if score is None else score, self.low, self.high) * (len(_RAMP) - 1)
         index = min(int(place), len(_RAMP) - 2)
         mix = [a + (b - a) * (place - index) for a, b in zip(_RAMP[index], _RAMP[index + 1], strict=True)]
         return "#" + "".join(f"{round(part):02x}" for part in mix)
@@ -121,7 +119,8 @@ class _Plane:
         x, tall = WIDTH - _KEY + 16, min(200.0, self.chart.plane_height - 16)
         for step in range(steps):
             y = TOP + 16 + tall * (1 - (step + 1) / steps)
-            color = self._color(self.low + (self.high - self.low) * step / (steps - 1))
+            part = step / (steps - 1)
+            color = self._color(self.low * (1.0 - part) + self.high * part)
             yield f'<rect x="{x}" y="{y:.1f}" width="14" height="{tall / steps + 0.5:.1f}" fill="{color}"/>'
         for value, y in ((self.high, TOP + 26), (self.low, TOP + 16 + tall)):
             yield f'<text class="soft" x="{x + 20}" y="{y:.1f}">{number(value)}</text>'

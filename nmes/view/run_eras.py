@@ -7,12 +7,11 @@ Red Queen" (1995), as a heat map: a run that only goes round in circles shows as
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from statistics import quantiles
 
 from nmes.evolution.champions import Champion
 from nmes.evolution.history import Origin
-from nmes.objective.means import mean
-from nmes.view.chart import LEFT, SERIES, TOP, WIDTH, Chart, Picture, number, short, text
+from nmes.objective.means import mean, quartiles
+from nmes.view.chart import LEFT, SERIES, TOP, WIDTH, Chart, Picture, between, number, short, text
 
 __all__ = ["ancestors_map", "era_curves"]
 
@@ -62,8 +61,7 @@ def _bands(role: str, scores: Mapping[tuple[str, int], Sequence[float]]) -> list
     bands = []
     for (name, era), known in sorted(scores.items(), key=lambda item: item[0][1]):
         if name == role and len(known) >= _FEWEST:
-            low, middle, high = quantiles(known, n=4, method="inclusive")
-            bands.append((era, low, middle, high))
+            bands.append((era, *quartiles(known)))
     return bands
 
 
@@ -167,7 +165,7 @@ def _field(
 
 def _color(score: float, low: float, high: float) -> str:
     """Returns the colour of a score between two others."""
-    part = 2.0 * (score - low) / (high - low) if high > low else 1.0
+    part = 2.0 * between(score, low, high) if high > low else 1.0
     begin, end = (_LOW, _MIDDLE) if part < 1.0 else (_MIDDLE, _HIGH)
     mix = [a + (b - a) * (part if part < 1.0 else part - 1.0) for a, b in zip(begin, end, strict=True)]
     return "#" + "".join(f"{round(value):02x}" for value in mix)
@@ -178,7 +176,8 @@ def _key(x: float, tall: float, low: float, high: float, steps: int = 40) -> Ite
     tall = min(tall - 16.0, 200.0)
     for step in range(steps):
         y = TOP + 16 + tall * (1 - (step + 1) / steps)
-        color = _color(low + (high - low) * step / (steps - 1), low, high)
+        part = step / (steps - 1)
+        color = _color(low * (1.0 - part) + high * part, low, high)
         yield f'<rect x="{x}" y="{y:.1f}" width="14" height="{tall / steps + 0.5:.1f}" fill="{color}"/>'
     for value, y in ((high, TOP + 26), (low, TOP + 16 + tall)):
         yield f'<text class="soft" x="{x + 20}" y="{y:.1f}">{number(value)}</text>'

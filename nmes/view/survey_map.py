@@ -9,7 +9,7 @@ import numpy as np
 
 from nmes.backend import Image as Pixels
 from nmes.objective.means import mean
-from nmes.view.chart import Picture, number, png_source, text
+from nmes.view.chart import Picture, between, number, png_source, text
 
 __all__ = ["Block", "survey_map"]
 
@@ -91,8 +91,7 @@ def _squares(block: Block, low: float, top: float) -> Pixels:
 
 
 def _color(score: float, low: float, top: float) -> tuple[int, int, int]:
-    part = 1.0 if top <= low else min(1.0, (score - low) / (top - low))
-    place = part * (len(_RAMP) - 1)
+    place = min(1.0, between(score, low, top)) * (len(_RAMP) - 1)
     index = min(int(place), len(_RAMP) - 2)
     red, green, blue = (
         round(a + (b - a) * (place - index)) for a, b in zip(_RAMP[index], _RAMP[index + 1], strict=True)
@@ -115,7 +114,8 @@ def _key(x: float, y: float, low: float, top: float, high: float, unit: str) -> 
     """Yields what the colours mean, below."""
     steps, wide = 64, 320.0
     for step in range(steps):
-        red, green, blue = _color(low + (top - low) * step / (steps - 1), low, top)
+        part = step / (steps - 1)
+        red, green, blue = _color(low * (1.0 - part) + top * part, low, top)
         place = f'x="{x + wide * step / steps:.2f}" y="{y}" width="{wide / steps + 0.5:.2f}" height="14"'
         yield f'<rect {place} fill="#{red:02x}{green:02x}{blue:02x}"/>'
     beyond = " and more" if top < high else ""

@@ -59,6 +59,19 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_show_draws_a_run_whose_scores_are_as_great_as_numbers_get(tmp_path: Path) -> None:
+    records = candidates(40, measures=2)
+    for index, record in enumerate(records):
+        if record["score"] is not None:
+            record["score"] = [-1.7e308, 1.7e308][index % 2]
+    settings: dict[str, Any] = {"measures": MEASURES, "starts": [Genome.load("walker").document]}
+    make_run(tmp_path / "run", records, elites=[5, 6, 7, 8], algorithm="map-elites", **settings)
+    result = evolve("show", tmp_path / "run", "-o", tmp_path / "page")
+    assert result.exit_code == 0, result.output
+    for picture in ("archive", "scores"):
+        assert not re.search(r"[\", ](nan|inf)[\", ]", (tmp_path / "page" / f"{picture}.svg").read_text())
+
+
 def best_of(folder: Path) -> dict[str, Any]:
     lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     best: dict[str, Any] = max(lines, key=lambda line: -9.0 if line["score"] is None else line["score"])

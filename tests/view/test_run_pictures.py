@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+from sys import float_info
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,14 +14,17 @@ from PIL import Image
 
 from nmes.errors import visible
 from nmes.evolution.algorithm import Measure
+from nmes.evolution.champions import Champion
 from nmes.evolution.history import History
 from nmes.genome import Genome
 from nmes.genome.preview import render_cutout
 from nmes.view.chart import Picture, png_source, round_numbers
 from nmes.view.run_archive import archive_map
 from nmes.view.run_curves import fitness_curves, groups_over_time
+from nmes.view.run_eras import ancestors_map, era_curves
 from nmes.view.run_front import front_plot
 from nmes.view.run_tree import lineage_tree
+from nmes.view.survey_map import survey_map
 from run_rows import Row, history
 
 HOSTILE = '<script>alert("x")</script>\u202e'
@@ -107,6 +111,29 @@ def test_a_run_whose_scores_are_all_the_same_has_pictures(score: float) -> None:
     assert inside(fitness_curves(history(None, score), "score"))
     rows = [Row(0, score, objectives=(score, -score)), Row(1, score, objectives=(score, -score))]
     assert inside(front_plot(History(rows), rows, ("a", "b"), portrait))
+
+
+@pytest.mark.parametrize("low", [-float_info.max, -1e300, 0.0, 1.6e308, float_info.max])
+def test_scores_at_the_ends_of_what_numbers_there_are_have_pictures(low: float) -> None:
+    """The distance of two such is greater than any number, and so is four times one of them, as quartiles want it."""
+    scores, greatest = [low, float_info.max] * 6, float_info.max
+    rows = [Row(i, score, objectives=(score, -score), measures=(i % 4, i % 3, 0.5)) for i, score in enumerate(scores)]
+    teams = [Row(i, score, group="ab"[i % 2]) for i, score in enumerate(scores)]
+    halls = {role: [Champion(i // 4, row) for i, row in enumerate(teams) if row.group == role] for role in "ab"}  # type: ignore[arg-type]
+    first = halls["a"][:2]
+    meetings = {(one.record.index, other.record.index): low for one in first for other in first}
+    pictures = [
+        fitness_curves(History(rows), "score"),
+        front_plot(History(rows), rows[:4], ("a", "b"), portrait),
+        drawn(rows),
+        era_curves(teams, halls, 2, "score"),
+        ancestors_map("eras", ("a", first), ("a", first), {**meetings, (0, 0): greatest}),
+        survey_map([scores, [low]], [""], ["one", "two"], "m"),
+    ]
+    for picture in pictures:
+        assert inside(picture) and not re.search(r"\b(nan|inf)\b", picture.content), picture.name
+        for line in (*elements(picture, "polyline"), *elements(picture, "polygon")):
+            assert all(-0.1 <= y <= picture.height + 0.1 for _, y in points(line))
 
 
 def test_groups_are_stacked_to_the_whole() -> None:
