@@ -5,13 +5,14 @@ It hides what is worth looking at, and how a camera follows it without shaking.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import hypot, pi, radians
+from collections.abc import Iterable, Sequence
+from itertools import product
+from math import hypot, pi, radians, sqrt
 from typing import Literal
 
 import numpy as np
 
-from nmes.backend import Array, CameraSpec
+from nmes.backend import Array, CameraSpec, Vector
 from nmes.errors import FilmError
 from nmes.view.moments import Moment
 
@@ -26,6 +27,7 @@ _CALM = 0.4  # s before and after a moment, over which a camera that follows smo
 _ROUND = 24.0  # s that an orbit takes
 _NEAREST = 1.0  # m: the smallest radius that is looked at
 _MOVES, _BESIDE = 0.02, 1.5  # m: how far a cube gets that moves; how near to it a neighbour is
+_CELL = 2.0  # m: edges of cells in which neighbours are looked for; longer than neighbours are apart
 _BEHIND = 3.0  # m: how far what came to rest is left behind before it is looked at no more
 _NEAR = 6.0  # m: how near a creature's target is to what is looked at, to be looked at too
 _MARK = 0.6  # m: how much room its flag takes
@@ -90,16 +92,42 @@ def _looked_at(moments: Sequence[Moment], target: str | None) -> set[str]:
         for name, pose in zip(moment.shapes, moment.poses, strict=True):
             if np.abs(pose[:3] - first.setdefault(name, pose[:3])).max() > _MOVES:
                 moved[name] = None
-    starts = np.array([first[name] for name in moved]).reshape(-1, 3)
-    beside = {name: at for name, at in first.items() if _near(at, starts)}
+    spots = _Spots(first[name] for name in moved)
+    beside = {name for name, at in first.items() if spots.beside(at)}
+    for name in beside - moved.keys():
+        spots.add(first[name])
     for name in [name for name in first if name not in moments[0].shapes]:
-        if name not in beside and _near(first[name], np.array([*beside.values()]).reshape(-1, 3)):
-            beside[name] = first[name]
-    return set(beside or first)
+        if name not in beside and spots.beside(first[name]):
+            beside.add(name)
+            spots.add(first[name])
+    return beside or set(first)
 
 
-def _near(place: Array, others: Array, far: float = _BESIDE) -> bool:
-    return bool(np.linalg.norm(others - place, axis=1).min(initial=np.inf) < far)
+class _Spots:
+    """Places by cells of space: what is beside one is found without a look at all, of which there may be thousands."""
+
+    def __init__(self, places: Iterable[Array]) -> None:
+        self._cells: dict[Vector, list[Vector]] = {}
+        for place in places:
+            self.add(place)
+
+    def add(self, place: Array) -> None:
+        x, y, z = place.tolist()
+        self._cells.setdefault((x // _CELL, y // _CELL, z // _CELL), []).append((x, y, z))
+
+    def beside(self, place: Array) -> bool:
+        """Whether one of the places is beside another place."""
+        x, y, z = place.tolist()
+        around = ((at // _CELL - 1.0, at // _CELL, at // _CELL + 1.0) for at in (x, y, z))
+        return any(
+            sqrt((a - x) * (a - x) + (b - y) * (b - y) + (c - z) * (c - z)) < _BESIDE
+            for cell in product(*around)
+            for a, b, c in self._cells.get(cell, ())
+        )
+
+
+def _near(place: Array, others: Array) -> bool:
+    return bool(np.linalg.norm(others - place, axis=1).min(initial=np.inf) < _BEHIND)
 
 
 def _rests(moments: Sequence[Moment], names: set[str]) -> dict[str, int]:
@@ -129,7 +157,7 @@ def _middles(moments: Sequence[Moment], names: set[str], *, flags: bool) -> tupl
         rows = [
             row
             for row, name in shown.items()
-            if not (0 < rests.get(name, 0) <= i and len(going)) or _near(moment.poses[row, :3], going, _BEHIND)
+            if not (0 < rests.get(name, 0) <= i and len(going)) or _near(moment.poses[row, :3], going)
         ]
         if rows:
             places, sizes = moment.poses[rows, :3], [size for size, *_ in moment.shapes.values()]

@@ -43,6 +43,23 @@ def test_parts_that_grow_are_looked_at() -> None:
     assert distance(last, (0.0, 2.2, 0.0)) < 0.3
 
 
+def test_what_is_beside_what_is_looked_at_is_found_wherever_it_is() -> None:
+    """All distances are computed here, and one of two cameras is told whom to look at."""
+    draw = np.random.default_rng(7)
+    for _ in range(100):
+        places = draw.uniform(-4.0, 4.0, (16, 3)) * (1.0, 0.4, 0.4)
+        seen = {at for at in range(16) if np.linalg.norm(places[0] - places[at]) < 1.5}
+        for at in range(8, 16):  # those that come later, one after the other
+            if (np.linalg.norm(places[sorted(seen)] - places[at], axis=1) < 1.5).any():
+                seen.add(at)
+        names = [f"{'seen' if at in seen else 'other'}{at}" for at in range(16)]
+        here = dict(zip(names, map(tuple, places.tolist()), strict=True))
+        x, y, z = here[names[0]]
+        goes = {**here, names[0]: (x + 0.1, y, z)}
+        moments = film({name: here[name] for name in names[:8]}, here, goes)
+        assert follow(moments) == cameras(moments, "follow", "seen", FPS, (320, 240))
+
+
 def test_what_came_to_rest_is_left_behind_by_what_goes_on() -> None:
     places = [{"trunk": (0.2 * i, 0.2, 0.0), "limb": (0.2 * min(i, 10), 0.2, 0.0)} for i in range(60)]
     seen = follow(film(*places))
