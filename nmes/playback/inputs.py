@@ -176,24 +176,38 @@ def advance(world: World, recording: Recording, records: Iterable[Record], frame
         RecordingError: A tick does not come out as recorded (`diverged`, or `not_comparable` where the fingerprints
             differ).
     """
+    last_reset: int | None = None  # unknown until a fault asks for it
     for recorded in recorded_inputs(records):
         ticks = frame - world.ticks
         count = len(recorded.digests)
-        last = count > ticks or (recorded.faults and count == ticks and not _is_lifted(recording, recorded, frame))
+        last = count > ticks
+        if recorded.faults and count == ticks:
+            if last_reset is None:
+                last_reset = _last_reset(recording, recorded, frame)
+            last = last_reset < recorded.record.sequence
         if not _advance_by(world, recorded, ticks, last) or world.ticks > frame:
             raise departure(recording, f"frame {world.ticks} does not come out as recorded; see nmes replay")
         if last:
             return
 
 
-def _is_lifted(recording: Recording, faulty: RecordedInput, frame: int) -> bool:
-    """Whether a reset lifts the fault of an input: in a stopped world nothing else does, and nothing ticks before.
+def _last_reset(recording: Recording, faulty: RecordedInput, frame: int) -> int:
+    """Returns the sequence number of the last reset between a fault and the next tick; -1 where there is none.
 
-    It is looked for in a pass of its own, for a stopped world may be asked things for days.
+    It lifts all faults before it: in a stopped world nothing else does, and nothing ticks before. It is looked for in
+    a pass of its own, for a stopped world may be asked things for days; in one for all faults of a frame, for a client
+    may stop and reset a world for days.
     """
-    records = recording.records(recording.start(frame))
-    since = (record for record in records if record.sequence >= faulty.record.sequence)
-    return any(_ends_with_a_reset(recorded) for recorded in recorded_inputs(since))
+    found = -1
+    for recorded in recorded_inputs(recording.records(recording.start(frame))):
+        sequence = recorded.record.sequence
+        if sequence < faulty.record.sequence:
+            continue
+        if _ends_with_a_reset(recorded):
+            found = sequence
+        if sequence > faulty.record.sequence and recorded.digests:
+            break
+    return found
 
 
 def _ends_with_a_reset(recorded: RecordedInput) -> bool:

@@ -6,6 +6,7 @@ import json
 import signal
 from pathlib import Path
 from typing import Any, NoReturn
+from unittest.mock import Mock
 
 import pytest
 from click.testing import CliRunner, Result
@@ -207,6 +208,25 @@ def test_a_world_whose_reset_was_refused_or_that_stopped_again_is_restored_at_th
     assert (world.fault, world.cubes()) == (None, ["last"])
     world.tick()
     assert world.fault is not None
+
+
+def test_a_world_stopped_and_reset_again_and_again_at_one_frame_is_restored_in_one_pass_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(world: World, client: int) -> None:
+        for cycle in range(20):
+            send(world, client, type="spawn_cube", cube_name=f"far{cycle}")
+            for _ in range(3):
+                send(world, client, type="apply_physics", cube_name=f"far{cycle}", impulse=[1e15, 0, 0])
+            send(world, client, type="step")
+            assert world.fault is not None and world.ticks == 0
+            send(world, client, type="reset")
+        send(world, client, type="spawn_cube", cube_name="new")
+
+    recording = Recording(record(tmp_path / "x.mcap", fail))
+    monkeypatch.setattr(Recording, "records", counted := Mock(wraps=recording.records))
+    assert world_at(recording, 0).cubes() == ["new"]
+    assert counted.call_count == 1
 
 
 def test_a_parent_and_its_fork_are_compared_from_the_frame_of_the_fork(tmp_path: Path) -> None:
