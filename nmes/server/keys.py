@@ -43,18 +43,18 @@ class Seat(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _World:
-    """What opens one world: its roles by name, none where it has none; the digest of its own password; its key.
+    """What opens one world: its roles by name, none where it has none; digests of its own passwords; its key.
 
-    The own password of a world that a maker created is his.
+    Its maker's password is one of its own.
     """
 
     roles: tuple[str, ...]
-    password: bytes | None
+    passwords: tuple[bytes, ...]
     key: bytes
 
     def is_own(self, digest: bytes) -> bool:
-        """Tells whether a digest is that of its own password."""
-        return self.password is not None and hmac.compare_digest(self.password, digest)
+        """Tells whether a digest is that of a password of its own."""
+        return any([hmac.compare_digest(own, digest) for own in self.passwords])
 
 
 class Keys:
@@ -94,14 +94,14 @@ class Keys:
         return keys
 
     def share_world(self, world: str) -> dict[str, Any]:
-        """Returns the roles, password and token key of a world, for another process of the host."""
+        """Returns the roles, passwords and token key of a world, for another process of the host."""
         about = self._worlds[world]
-        own = None if about.password is None else about.password.hex()
-        return {"roles": about.roles, "password": own, "key": about.key.hex()}
+        own = [digest.hex() for digest in about.passwords]
+        return {"roles": about.roles, "passwords": own, "key": about.key.hex()}
 
     def take_world(self, world: str, shared: Mapping[str, Any]) -> None:
         """Adds a world as another process of the host has shared it."""
-        own = None if shared["password"] is None else bytes.fromhex(shared["password"])
+        own = tuple(bytes.fromhex(digest) for digest in shared["passwords"])
         self._put(world, _World(tuple(shared["roles"]), own, bytes.fromhex(shared["key"])))
 
     def add(self, world: str, roles: Collection[str], password: str | None = None, maker: str | None = None) -> None:
@@ -110,25 +110,27 @@ class Keys:
         Args:
             world: Its name.
             roles: Those that its config names; none where it is open.
-            password: Its own, which opens it alone, in any role; None: it has none, or its maker's.
-            maker: Who created it; None: the host.
+            password: Its own, which opens it alone, in any role; None: it has none.
+            maker: Who created it, whose password opens it too; None: the host.
         """
         names = tuple(dict.fromkeys((OWNER, *roles))) if roles else ()
-        own = self._makers.get(maker) if maker is not None else None if password is None else self._digest(password)
-        self._put(world, _World(names, own, secrets.token_bytes(32)))
+        own = [] if password is None else [self._digest(password)]
+        if maker is not None and maker in self._makers:
+            own.append(self._makers[maker])
+        self._put(world, _World(names, tuple(own), secrets.token_bytes(32)))
 
     def _put(self, world: str, about: _World) -> None:
         self._worlds[world] = about
-        if about.password is not None:
-            self._by_password[about.password][world] = None
+        for password in about.passwords:
+            self._by_password[password][world] = None
         for role in about.roles:
             self._by_role[role][world] = None
 
     def remove(self, world: str) -> None:
         """Forgets a world; what its tokens said is true no more."""
         about = self._worlds.pop(world)
-        if about.password is not None:
-            del self._by_password[about.password][world]
+        for password in set(about.passwords):  # a world's own may be its maker's
+            del self._by_password[password][world]
         for role in about.roles:
             del self._by_role[role][world]
 

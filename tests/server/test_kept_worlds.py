@@ -205,6 +205,33 @@ def test_a_world_stays_that_of_its_maker_where_a_host_goes_on_with_its_recording
             host.stop()
 
 
+@pytest.mark.parametrize("how", ["a recording", "a folder", "a folder with workers"])
+def test_a_world_of_a_maker_is_opened_by_a_password_of_its_own_too(how: str, tmp_path: Path) -> None:
+    folder, makers, passwords = tmp_path / "recordings", tmp_path / "makers", tmp_path / "passwords"
+    for directory, name, password in ((makers, "ann", "of ann"), (passwords, "red", "of red")):
+        directory.mkdir()
+        (directory / name).write_text(password)
+    options = [*DURABLE, "--makers", str(makers)]
+    with serving(folder, *options) as host:
+        host.client(password="of ann").create_world("red")
+        Twin("red").drive(host, 2)
+        host.stop()
+    kept = next(folder.glob("red-*.mcap")) if how == "a recording" else folder
+    workers = ["--workers", "2"] if how == "a folder with workers" else []
+    again = [*options, *workers, "--record", str(folder), "--world-passwords", str(passwords), "--resume", str(kept)]
+    with process("serve", "--json", "--port", "0", *again, NMES_PASSWORD=PASSWORD) as server:
+        host = Fleet(server, folder, ready(server))
+        for password in ("of ann", "of red"):
+            assert [world["world"] for world in host.client(password=password).worlds()] == ["red"]
+            with host.client("red", password=password) as client:
+                assert client.get_world_info()["frame"] == 2
+        with pytest.raises(CommandFailed) as refused:
+            host.client(password="of red").close_world("red")
+        assert refused.value.code == "auth_failed"
+        assert list(host.client(password="of ann").close_world("red")) == []
+        host.stop()
+
+
 def test_roles_of_worlds_that_a_folder_keeps_have_passwords_without_their_config(tmp_path: Path) -> None:
     folder, config, secret = tmp_path / "recordings", tmp_path / "arena.json", tmp_path / "player"
     config.write_text('{"roles": {"player": {}}}')
