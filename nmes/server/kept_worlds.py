@@ -60,16 +60,15 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
         for path in paths:
             try:
                 recording = Recording(path)
-                whole = PARENT not in recording.metadata or _has_its_past(path)
-            except (NmesError, ValueError) as error:  # one of its first keyframe, which nobody has judged
-                logger.warning("%s is left where it is: %s", path, getattr(error, "message", error))
+            except NmesError as error:
+                logger.warning("%s is left where it is: %s", path, error.message)
                 continue
             name = recording.config["name"]
             if path.name in closed and name not in found:
                 ended.add(name)
             if name not in ended and name not in found:
-                if not whole:
-                    logger.warning("%s is left where it is: it ends before the frame from which it was to go on", path)
+                if (flaw := _flaw(recording)) is not None:
+                    logger.warning("%s is left where it is: %s", path, flaw)
                     continue
                 found[name] = recording
             if alone:
@@ -77,11 +76,18 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
     return dict(sorted(found.items()))
 
 
-def _has_its_past(path: Path) -> bool:
-    """Whether a recording that goes on from another came to the frame of that from which it does."""
-    recording = Recording(path)  # of this one the first keyframe is kept in memory, and not of those that are found
-    frame = int(recording.metadata[PARENT]["frame"])
-    return recording.start().frame >= frame or recording.last_frame >= frame  # the second is read to its end
+def _flaw(recording: Recording) -> str | None:
+    """Returns why nobody can go on from a recording that itself goes on from another; None: it came as far as that."""
+    if PARENT not in recording.metadata:
+        return None
+    recording = Recording(recording.path)  # in this one the first keyframe is kept, and not in one that is found
+    try:
+        frame = int(recording.metadata[PARENT]["frame"])
+        if recording.start().frame >= frame or recording.last_frame >= frame:  # for the second it is read to its end
+            return None
+    except (NmesError, ValueError) as error:  # the first keyframe is of a newer version, or the number is endless
+        return str(getattr(error, "message", error))
+    return "it ends before the frame from which it was to go on"
 
 
 def _lines(path: Path) -> list[str]:

@@ -18,7 +18,7 @@ from nmes.recording import Recorder, Recording
 from nmes.server.kept_worlds import CLOSED, kept_worlds
 from nmes.world import World
 from processes import process, ready
-from recordings import record
+from recordings import Line, record, rewrite
 from servers import PASSWORD, PATIENCE
 
 DURABLE = ("--flush-interval", "0")
@@ -103,6 +103,28 @@ def test_a_world_whose_host_is_killed_while_it_goes_on_from_a_recording_ends_whe
     assert kept_worlds(tmp_path)["red"].path == gone_on.path
     for recorder in (begun, gone_on):
         recorder.close()
+
+
+def test_a_recording_that_begins_with_a_newer_keyframe_is_told_of_where_a_world_would_go_on_from_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    def make_newer(lines: list[Line]) -> list[Line]:
+        assert lines[0].topic == "keyframes"
+        return [lines[0]._replace(data=b'{"version":99}\n'), *lines[1:]]
+
+    config = {"backend": "mujoco", "mode": "lockstep", "name": "re_d"}  # beside it there might be one called "re:d"
+    whole, newer, newest = (tmp_path / f"re_d-20260101T00000{second}.000000Z.mcap" for second in range(3))
+    parent, world = Recording(record(whole, lambda world, client: world.tick(), config)), World(config)
+    fork(parent, world, newest).close()
+    world.close()
+    rewrite(newest, newer, make_newer)
+    assert kept_worlds(tmp_path)["re_d"].path == newest
+    assert caplog.text == ""  # nobody looks at how those before it begin
+    newest.unlink()
+    assert kept_worlds(tmp_path)["re_d"].path == whole
+    assert f"{newer} is left where it is: a keyframe has a snapshot of version 99" in caplog.text
+    (tmp_path / CLOSED).write_text(f"{newer.name}\n")
+    assert kept_worlds(tmp_path) == {}
 
 
 @ALONE_AND_SHARED
