@@ -150,9 +150,12 @@ class Connection(asyncio.BufferedProtocol):
 
     def connection_lost(self, error: Exception | None) -> None:
         """Leaves the world when the rest of the requests are done."""
+        if self._lost:  # the host has cut it off and waits for no end
+            return
         self._lost = self._closing = True
         # That of TLS keeps a protocol for good, and a buffer of 256 KiB: it and this one would keep each other.
-        self._transport.set_protocol(asyncio.BufferedProtocol())
+        with contextlib.suppress(AttributeError):  # from Python 3.11 where that was closed twice
+            self._transport.set_protocol(asyncio.BufferedProtocol())
         self._full = False
         self._cancel_timer()
         self._host.forget(self)

@@ -341,28 +341,48 @@ class Reception(ABC):
 
     async def _inspect(self) -> None:
         now = monotonic()
-        for connection in list(self._connections):
-            try:
-                connection.inspect(now)
-            except Exception:  # of one, which must not keep the others from being looked at
-                logger.exception("a connection cannot be looked at and is cut off")
-                connection.abort()
+        _with_each(self._connections, lambda connection: connection.inspect(now))
 
     async def _hang_up_on_all(self) -> None:
         """Hangs up on all connections; returns when they are gone."""
-        for connection in list(self._connections):
-            connection.hang_up()
+        _with_each(self._connections, lambda connection: connection.hang_up())
         # Peers get a moment to hang up themselves, and those that still read get some more.
         began = monotonic()
         while self._connections and monotonic() - began < LINGER:
-            if monotonic() - began > LINGER / 8 and not any(connection.draining for connection in self._connections):
-                break
+            if monotonic() - began > LINGER / 8:
+                if not any(_with_each(self._connections, lambda connection: connection.draining)):
+                    break
             await asyncio.sleep(0.01)
-        for connection in list(self._connections):
-            connection.abort()
-        while self._connections:
+        _with_each(self._connections, lambda connection: connection.abort())
+        began = monotonic()
+        while self._connections and monotonic() - began < LINGER:
             await asyncio.sleep(0)
+        _with_each(self._connections, _drop)
         self._reader.shutdown()
+
+
+def _with_each(connections: Collection[Connection], do: Callable[[Connection], T]) -> list[T]:
+    """Does something with each of the connections; returns what comes of it.
+
+    Those with which it fails are cut off: they must not keep the host from the others, nor from its end.
+    """
+    done = []
+    for connection in list(connections):
+        try:
+            done.append(do(connection))
+        except Exception:
+            logger.exception("a connection fails and is cut off")
+            _drop(connection)
+    return done
+
+
+def _drop(connection: Connection) -> None:
+    """Cuts a connection off and counts it out, also where its transport tells of no end any more."""
+    try:
+        connection.abort()
+    except Exception:
+        logger.exception("a connection cannot be cut off")
+    connection.connection_lost(None)
 
 
 async def drain(host: Reception, seconds: float) -> None:

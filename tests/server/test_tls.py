@@ -22,6 +22,7 @@ from nmes import AsyncClient, Client
 from nmes.cli import main
 from nmes.errors import Disconnected
 from nmes.protocol import DELIMITER, Limits, Request
+from nmes.server.connection import Connection
 from nmes.server.threads import SLICE
 from nmes.world import World
 from processes import process, ready
@@ -252,3 +253,30 @@ def spawned(server: Served, count: int) -> bool:
 def plain_end(stream: ssl.SSLSocket) -> None:
     """Ends what a client says without a word of TLS."""
     socket.socket.shutdown(stream, socket.SHUT_WR)
+
+
+def test_a_connection_whose_transport_was_closed_twice_is_cut_off(
+    identity: ssl.SSLContext, trust: ssl.SSLContext, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    transports: list[asyncio.BaseTransport] = []
+    made = Connection.connection_made
+
+    def keep(connection: Connection, transport: asyncio.BaseTransport) -> None:
+        transports.append(transport)
+        made(connection, transport)
+
+    def close_twice() -> None:
+        for _ in range(2):  # after which that of Python 3.11 can do nothing, and says so at each question
+            transports[0].close()
+
+    monkeypatch.setattr(Connection, "connection_made", keep)
+    with served(tls=identity, limits=Limits(stall_timeout=0.04)) as server:
+        with server.client(tls=trust), server.client(tls=trust) as other:
+            server.call(close_twice)
+            until(lambda: server.host.connections == 1)
+            assert other.get_world_info()["counts"]["clients"] == 1
+            server.call(transports[1].close)
+            server.call(transports[1].close)
+            server.close()  # before anybody has looked at that one
+            assert server.host.connections == 0
+    assert caplog.text.count("a connection fails") <= 2
