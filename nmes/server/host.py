@@ -372,7 +372,10 @@ class Host(Reception):
             asleep = 0
             for hosted in worlds:
                 began = monotonic()
-                await hosted.hibernation.begin(idle)
+                try:
+                    await hosted.hibernation.begin(idle)
+                except Exception:  # of one, which must not keep the others awake
+                    logger.exception("world %r cannot be put to sleep", hosted.name)
                 if hosted.hibernation.resting:
                     self._awake.discard(hosted)
                     asleep += 1

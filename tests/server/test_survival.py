@@ -35,6 +35,7 @@ from nmes.protocol import COMMANDS, DELIMITER, Auth, Limits, Session
 from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.connection import Connection
+from nmes.server.hibernation import Hibernation
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.memory import Memory
 from nmes.server.retention import Retention
@@ -536,9 +537,7 @@ def test_passwords_are_compared_in_constant_time(guess: str, monkeypatch: pytest
     assert lengths == [(64, 64)]  # digests, so that neither length nor beginning of the password makes a difference
 
 
-@pytest.mark.parametrize(
-    ("owner", "method"), [(Connection, "inspect"), (HostedWorld, "flush"), (Memory, "tidy"), (Retention, "sweep")]
-)
+@pytest.mark.parametrize(("owner", "method"), [(Memory, "tidy"), (Retention, "sweep")])
 def test_what_a_host_does_now_and_then_goes_on_after_it_failed(
     owner: type, method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -553,12 +552,33 @@ def test_what_a_host_does_now_and_then_goes_on_after_it_failed(
 
     monkeypatch.setattr(owner, method, fail_once)
     monkeypatch.setattr("nmes.server.host.SWEEP", 0.01)
-    options: dict[str, Any] = {"hibernate_after": 0.01, "retention": Retention(tmp_path, 1, None)}
-    limits = Limits(stall_timeout=0.04)
-    with (
-        served(record_to=tmp_path, flush_interval=0.02, limits=limits, **options) as server,
-        server.peer(),
-        server.peer(),
-    ):
-        until(lambda: called >= 4)  # of others too, where it is one of several that fails
-    assert caplog.text.count("ValueError: planted") == 1
+    with served(record_to=tmp_path, hibernate_after=0.01, retention=Retention(tmp_path, 1, None)):
+        until(lambda: called >= 3)
+    assert "ValueError: planted" in caplog.text and caplog.text.count("tries again") == 1
+
+
+@pytest.mark.parametrize(
+    ("owner", "method"), [(Connection, "inspect"), (HostedWorld, "flush"), (Hibernation, "begin")]
+)
+def test_one_that_fails_each_time_keeps_a_host_from_none_of_the_others(
+    owner: type, method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    work, seen = getattr(owner, method), dict[object, None]()
+
+    def fail_for_the_first(each: object, *arguments: Any) -> Any:
+        seen[each] = None
+        if each is next(iter(seen)):
+            raise ValueError("planted")
+        return work(each, *arguments)
+
+    monkeypatch.setattr(owner, method, fail_for_the_first)
+    configs = [{"name": name} for name in ("red", "green", "blue")]
+    paced = {"name": "paced", "mode": "realtime"}  # beside which worlds are put to sleep one by one
+    options: dict[str, Any] = {"flush_interval": 0.02, "limits": Limits(stall_timeout=0.04), "hibernate_after": 0.01}
+    with served(*configs, paced, record_to=tmp_path, **options) as server, ExitStack() as peers:
+        for _ in range(4):
+            peers.enter_context(server.peer())
+        until(lambda: len(seen) >= 4)
+        if owner is Connection:
+            until(lambda: server.clients() == 3)  # that one is cut off
+    assert "ValueError: planted" in caplog.text and "tries again" not in caplog.text
