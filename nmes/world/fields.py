@@ -54,15 +54,14 @@ class FieldReader:
     def axis(self, kind: str, value: Sequence[float]) -> Vector:
         """Reads the axis of a joint of some type as a unit vector.
 
-        In a planar world a hinge turns about z and a slide moves in the plane; a conetwist twists about z where that is
-        its axis. Others do nothing with theirs, which is in the plane where it can be.
+        In a planar world a hinge turns about z, and the axes of others are in the plane where they have a part in it. A
+        slide needs that; along z a conetwist twists, and the rest do nothing with it.
 
         Raises:
             WorldError: `invalid`: it has no direction.
         """
-        read = {"hinge": self.turn, "conetwist": vector}.get(kind, self.position)
-        unit = unit_vector(read(value))
-        if unit is None and kind in ("fixed", "pin"):
+        unit = unit_vector(self.turn(value) if kind == "hinge" else self.position(value))
+        if unit is None and kind not in ("hinge", "slide"):
             unit = unit_vector(vector(value))
         if unit is None:
             raise WorldError("invalid", "axis: must have a direction, and in a planar world one in it", "axis")

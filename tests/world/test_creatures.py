@@ -334,7 +334,23 @@ def test_a_planar_world_has_all_of_a_body_or_nothing_whatever_the_axes_of_its_jo
     assert (len(place.world.cubes()), len(place.world.joints())) == (4, 2)
 
 
-def test_a_conetwist_of_a_planar_world_twists_where_its_axis_leaves_the_plane() -> None:
+@pytest.mark.parametrize("kind", ["conetwist", "fixed", "pin"])
+def test_a_joint_of_a_planar_world_has_the_part_of_its_axis_that_lies_in_the_plane(kind: str) -> None:
+    def end(*axis: float) -> bytes:
+        place = Place(backend="pymunk", gravity=[0, 0, 0])
+        for x, name in enumerate("ab"):
+            place("spawn_cube", cube_name=name, position=[x, 5, 0])
+        spans = {"swing_span": 0.1, "twist_span": 1.0} if kind == "conetwist" else {}
+        assert "joint_name" in place("create_joint", cube1="a", cube2="b", joint_type=kind, axis=axis, **spans)
+        place("apply_physics", cube_name="b", angular_impulse=[0, 0, 3])
+        place("step", ticks=60)
+        return place.world.digest()
+
+    assert end(1, 0, 0) == end(1, 0, 2) and end(0, 1, 0) == end(0, 0.000001, -1000)
+    assert end(0, 0, 2) not in (end(1, 0, 0), end(0, 1, 0))
+
+
+def test_a_conetwist_of_a_planar_world_has_an_axis_along_z() -> None:
     place = Place(backend="pymunk", gravity=[0, 0, 0])
     place("spawn_cube", cube_name="a", position=[0, 5, 0])
     place("spawn_cube", cube_name="b", position=[1, 5, 0])
