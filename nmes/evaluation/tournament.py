@@ -23,7 +23,7 @@ import orjson
 
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
-from nmes.errors import NmesError, RunError, WorldError
+from nmes.errors import MissingPackage, NmesError, RunError, WorldError
 from nmes.evaluation.bouts import Bout, play_bouts
 from nmes.evaluation.evaluation import check_types
 from nmes.evaluation.judge import Result
@@ -108,6 +108,7 @@ class Tournament:
 
     Raises:
         WorldError: There are too few creatures or too many matches, two are the same, or one may not play (`invalid`).
+        MissingPackage: A brain needs a package that is not installed.
     """
 
     def __init__(self, task: MatchTask, genomes: Sequence[Genome], seeds: Sequence[int] | None = None) -> None:
@@ -129,6 +130,8 @@ class Tournament:
             seen[genome.hash] = genome.name
             try:
                 admit_players(self.task, dict.fromkeys(roles, genome))
+            except MissingPackage:
+                raise
             except NmesError as error:
                 what = f"{genome.name!r} may not play {self.task.name}: {error.message}"
                 raise WorldError("invalid", what) from error

@@ -17,7 +17,7 @@ import orjson
 
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import fingerprint
-from nmes.errors import DocumentError, NmesError
+from nmes.errors import DocumentError, MissingPackage, NmesError
 from nmes.evaluation import MatchTask, Task, brain_of
 from nmes.evaluation.match_task import load_task
 from nmes.evaluation.population import admit
@@ -101,7 +101,7 @@ class RunSettings:
 
         Raises:
             DocumentError: It is not such a document, or what it says cannot be run, with all that is wrong.
-            MissingPackage: The algorithm needs a package that is not installed.
+            MissingPackage: The algorithm, or a brain to begin with, needs a package that is not installed.
         """
         found = cls._of(document)
         known = coevolution_options if found.populations else algorithm_options
@@ -291,12 +291,18 @@ def _starts(values: Sequence[str | JsonObject], place: str) -> tuple[Genome, ...
 
 
 def _barred(genome: Genome, task: Task | MatchTask, role: str) -> str | None:
-    """Returns why a genome may not take part, or its brain is none for its body; None if it may."""
+    """Returns why a genome may not take part, or its brain is none for its body; None if it may.
+
+    Raises:
+        MissingPackage: Its brain needs a package that is not installed, which says nothing of it.
+    """
     try:
         if isinstance(task, Task):
             admit(genome, task)
             return None
         brain_of(genome)
+    except MissingPackage:
+        raise
     except NmesError as error:
         return error.message
     return "; ".join(task.check(role, genome.body)) or None

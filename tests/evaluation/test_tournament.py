@@ -19,7 +19,7 @@ import pytest
 from command_line import run
 from creatures import snake
 from duels import DUEL, push, roles
-from nmes.errors import RunError, WorldError
+from nmes.errors import MissingPackage, RunError, WorldError
 from nmes.evaluation import prove_match
 from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import MatchTask
@@ -61,6 +61,15 @@ def played(contest: Tournament, path: Path | None = None, most: int = 10_000) ->
             break
     matches.close()  # type: ignore[attr-defined]
     return done
+
+
+def test_a_package_that_is_missing_is_no_fault_of_those_who_play(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacking(_: Genome) -> None:
+        raise MissingPackage("a brain needs a package")
+
+    monkeypatch.setattr("nmes.evaluation.match.brain_of", lacking)
+    with pytest.raises(MissingPackage):
+        tournament()
 
 
 def test_the_better_come_first_and_all_play_all_in_all_roles() -> None:

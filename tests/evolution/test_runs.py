@@ -7,6 +7,7 @@ import random
 import shutil
 import signal
 import sqlite3
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -15,7 +16,8 @@ from typing import Any
 import orjson
 import pytest
 
-from nmes.errors import DocumentError, RunError
+from modelled import modelled
+from nmes.errors import DocumentError, MissingPackage, RunError
 from nmes.evaluation import Job, Task, Workers, evaluate, queue
 from nmes.evaluation.evaluator import evaluate_portion
 from nmes.evaluation.parallel import Here
@@ -42,6 +44,14 @@ def copied(whole: Path, folder: Path) -> Path:
 
 def log(folder: Path) -> bytes:
     return (folder / "log.jsonl").read_bytes()
+
+
+def test_a_package_that_is_missing_is_no_fault_of_a_genome_to_begin_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    document = {**SETTINGS, "starts": [modelled()]}
+    assert RunSettings.read(document).starts
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(MissingPackage, match=r"pip install 'nmes\[onnx\]'"):
+        RunSettings.read(document)
 
 
 # -- one history ------------------------------------------------------------------------------------------------------
