@@ -229,6 +229,19 @@ def test_a_world_stopped_and_reset_again_and_again_at_one_frame_is_restored_in_o
     assert counted.call_count == 1
 
 
+def test_a_fork_that_is_interrupted_while_its_keyframe_is_written_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_: Recorder) -> NoReturn:
+        raise KeyboardInterrupt
+
+    recording = parent(tmp_path, "mujoco")
+    monkeypatch.setattr(Recorder, "flush", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        fork(recording, World(recording.config), tmp_path / "x.mcap")
+    assert list(tmp_path.iterdir()) == [recording.path]
+
+
 def test_a_parent_and_its_fork_are_compared_from_the_frame_of_the_fork(tmp_path: Path) -> None:
     recording = parent(tmp_path, "mujoco")
     frame, path = recording.last_frame // 2, tmp_path / "x.mcap"

@@ -205,6 +205,20 @@ def test_it_takes_up_nothing_that_another_player_made() -> None:
     assert [event["lost_cubes"] for event in place.live(1)] == [[]]
 
 
+def test_it_takes_up_its_own_part_where_that_hangs_on_one_that_another_player_made() -> None:
+    place = Place(rules({"when": "age > 1", "adopt": ["c3"]}), roles={"player": {}}, **FLOAT)
+    place.drive()
+    x, y, z = place.state("c2")["position"]
+    place("shed", creature="s", part="c3")
+    place("shed", creature="s", part="c2", remove=True)
+    stranger = place.world.join("player", None)
+    place.world.execute(stranger, {"type": "spawn_cube", "cube_name": "theirs", "position": [x, y, z], "size": 0.2})
+    place("adopt", creature="s", part="c2", cube_name="theirs")
+    assert place.state("c2")["position"] == [x, y, z] and place.world.entities.cube("theirs").player == 2
+    assert [event["lost_cubes"] for event in place.live(2)][-1:] == [[]]
+    assert place.world.creature("s").cubes["c3"] == "s.c3"
+
+
 def test_a_part_of_another_size_is_as_dense_and_carries_what_hangs_on_it() -> None:
     place = Place(rules({"when": "age > 0.5", "resize": [{"part": "c1", "scale": 1.5}]}), **FLOAT)
     place("set_cube_state", cube_name="s.c0", rotation=[0.3, 0.8, -0.4], linear_velocity=[1, 2, 3])
