@@ -17,6 +17,7 @@ from nmes.errors import DocumentError, RunError, VariationError
 from nmes.evaluation.again import MODEL, drawn, has_model, unforeseen
 from nmes.evaluation.contest import Rivals
 from nmes.evaluation.parallel import Pool
+from nmes.evaluation.population import ROWS
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.algorithm import Candidate
 from nmes.evolution.run import Order, Run
@@ -27,7 +28,7 @@ from nmes.variation.draw import Draw
 __all__ = ["RunVerdict", "verify_run"]
 
 _MOST: Final = 20  # findings that are kept
-_WINDOW: Final = 256  # candidates that are evaluated again at once: of other genomes nothing is kept in memory
+_WINDOW: Final = 256  # candidates that are evaluated again at once, at least: of others nothing is kept in memory
 
 Progress = Callable[[str, int, int], None]
 Verdict = Literal["holds", "broken", "not_comparable"]
@@ -162,9 +163,10 @@ class _Verification:
         """Evaluates candidates; yields what comes out otherwise, and whether that may be for an ONNX brain."""
         run, expressions = self._run, self._run.settings.expressions()
         queue = EvaluationQueue(run.settings.task, run.settings.seeds, pool)
+        window = max(_WINDOW, 2 * ROWS * pool.jobs)  # a full portion for each process, and the next
         given = done = 0
         while done < len(chosen):
-            for index in chosen[given : done + _WINDOW]:
+            for index in chosen[given : done + window]:
                 queue.put(index, run.entry(index).genome, self._rivals[index])
                 given += 1
             for index, evaluation in queue.take():

@@ -18,7 +18,7 @@ from nmes.cli import main
 from nmes.errors import RunError
 from nmes.evaluation import Evaluation
 from nmes.evaluation.contest import Rivals
-from nmes.evaluation.parallel import Here
+from nmes.evaluation.parallel import Here, Workers
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.rerun import record_candidate
 from nmes.evolution.run import Run
@@ -287,9 +287,12 @@ def test_few_candidates_of_a_long_run_are_in_memory_at_once(tmp_path: Path, monk
     start = vector_genome([1.0] * 4).document
     finish(begin(tmp_path / "run", algorithm="es", options={"population": 10}, starts=[start], budget=300))
     monkeypatch.setattr("nmes.evolution.run_verify.EvaluationQueue", Counted)
-    verdict = verify_run(tmp_path / "run", Here(), None, lambda doing, done, total: None)
+    verdict = verify_run(tmp_path / "run", Here(), None, lambda doing, done, total: None, seed=1)
     assert (verdict.verdict, verdict.evaluated) == ("holds", 300)
     assert under_way[-1] == 0 and max(under_way) == 256
+    with Workers(3) as workers:  # of more processes each has enough to do
+        assert verify_run(tmp_path / "run", workers, None, lambda doing, done, total: None, seed=1) == verdict
+    assert under_way[-1] == 0 and 256 < max(under_way) <= 3 * 2 * 64
 
 
 def come_from_later(records: Records) -> None:

@@ -118,6 +118,21 @@ def test_another_seed_or_option_is_another_history(whole: Path, tmp_path: Path) 
     assert len(digests) == 5
 
 
+def test_how_many_candidates_of_random_search_are_under_way_does_not_show_in_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random_search = {"algorithm": "random", "options": {}}
+    finish(begin(tmp_path / "whole", **random_search))
+    monkeypatch.setattr("nmes.evolution.algorithms.random_search._WINDOW", 4)
+    begun = begin(tmp_path / "run", **random_search)
+    with Workers(3) as workers:
+        assert len(list(islice(begun.advance(workers), 9))) == 9
+    assert 9 <= len(Run.open(tmp_path / "run")) < 24
+    monkeypatch.undo()
+    finish(Run.open(tmp_path / "run"))
+    assert log(tmp_path / "run") == log(tmp_path / "whole")
+
+
 def test_a_run_that_is_interrupted_again_and_again_comes_out_the_same(whole: Path, tmp_path: Path) -> None:
     begin(tmp_path / "run")
     told: list[int] = []
