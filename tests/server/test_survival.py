@@ -557,9 +557,7 @@ def test_what_a_host_does_now_and_then_goes_on_after_it_failed(
     assert "ValueError: planted" in caplog.text and caplog.text.count("tries again") == 1
 
 
-@pytest.mark.parametrize(
-    ("owner", "method"), [(Connection, "inspect"), (HostedWorld, "flush"), (Hibernation, "begin")]
-)
+@pytest.mark.parametrize(("owner", "method"), [(Connection, "inspect"), (HostedWorld, "flush"), (Hibernation, "begin")])
 def test_one_that_fails_each_time_keeps_a_host_from_none_of_the_others(
     owner: type, method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

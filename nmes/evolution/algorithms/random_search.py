@@ -13,7 +13,7 @@ from nmes.evolution.algorithms.requirements import check_problem
 
 __all__ = ["RandomSearch"]
 
-_WINDOW: Final = 1024  # candidates that may be evaluated at once: all of a budget would be kept in memory, and in no log
+_WINDOW: Final = 1024  # candidates under way at once: all of a budget would be kept in memory, and in no log
 
 
 class RandomSearch(Algorithm):
