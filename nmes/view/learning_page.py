@@ -8,6 +8,7 @@ from typing import Any
 
 from nmes.genome.preview import render_cutout
 from nmes.learning.run import LearningRun
+from nmes.objective.means import mean
 from nmes.view.chart import Chart, Picture, number, png_source
 from nmes.view.run_page import facts_list, figure, page
 
@@ -95,7 +96,7 @@ def _thinned(points: Sequence[Point]) -> list[Point]:
     """Returns points, or the means of as many neighbours as leave few enough."""
     many = -(-len(points) // _POINTS)
     groups = [points[begin : begin + many] for begin in range(0, len(points), many)]
-    return [(group[-1][0], sum(y for _, y in group) / len(group)) for group in groups]
+    return [(group[-1][0], mean([y for _, y in group])) for group in groups]
 
 
 def write_learning_page(run: LearningRun, path: Path, pictures: Sequence[Picture]) -> None:
