@@ -93,7 +93,10 @@ def _take_every_letter() -> None:
 class _Group(click.Group):
     def main(self, args: Sequence[str] | None = None, *more: Any, **extra: Any) -> Any:
         if args is None:  # those of the process, which is this command's own
-            keep_in_mind()
+            try:
+                keep_in_mind()
+            except KeyboardInterrupt:  # one was held back
+                sys.exit("Aborted!")
             _take_every_letter()
             # Most of what a command makes are modules, which stay: they are not to be looked through again and again.
             gc.set_threshold(10_000)

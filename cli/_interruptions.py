@@ -13,7 +13,13 @@ _kept: list[int] = []  # what came before somebody asked for interruptions
 
 
 def keep_in_mind() -> None:
-    """Lets `interruptions` know of a Ctrl-C that came before: the exception may be dropped as a module is loaded."""
+    """Lets `interruptions` know of a Ctrl-C that came before: the exception may be dropped as a module is loaded.
+
+    Whoever begins this program with Ctrl-C held back, so that none is dropped before, has it let through here.
+
+    Raises:
+        KeyboardInterrupt: One was held back.
+    """
 
     def interrupt(number: int, _: object) -> NoReturn:
         _kept.append(number)
@@ -21,6 +27,7 @@ def keep_in_mind() -> None:
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored, as `nohup ... &` has it
         signal.signal(signal.SIGINT, interrupt)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 @contextmanager

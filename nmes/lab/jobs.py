@@ -144,6 +144,7 @@ class Jobs:
         self._numbers = count(1)
         self._jobs: dict[int, Job] = {}
         self._starting = 0
+        self._mask: set[signal.Signals | int] = set()  # the signals that were held back before any was starting
 
     async def start(self, arguments: Sequence[str], about: str = "") -> Job:
         """Starts `nmes` with arguments.
@@ -157,6 +158,9 @@ class Jobs:
         if len(running) + self._starting >= self._most:
             reason = f"{self._most} commands are running, as many as may at once: wait, or pause one"
             raise LabError("too_many_jobs", reason)
+        if self._starting == 0:
+            # It begins with Ctrl-C held back, and takes it when it is ready: a Python that loads modules may drop it.
+            self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         self._starting += 1
         try:
             process = await asyncio.create_subprocess_exec(
@@ -171,6 +175,8 @@ class Jobs:
             )
         finally:
             self._starting -= 1
+            if self._starting == 0:
+                signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
         job = Job(next(self._numbers), arguments, about, process)
         self._jobs[job.id] = job
         self._forget()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 from pathlib import Path
 
 import orjson
@@ -45,5 +46,22 @@ def test_of_all_that_was_printed_the_newest_is_kept(monkeypatch: pytest.MonkeyPa
         third = await ended(kept, "info", REPLAY, "--json")
         assert first.result() is None
         assert second.result() is not None and third.result() is not None
+
+    asyncio.run(check())
+
+
+def test_a_job_that_is_paused_while_it_begins_ends(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    # An exception out of a destructor is dropped by Python, as many are where modules are loaded.
+    lines = "import os, signal\nclass Gone:\n  def __del__(self):\n    os.kill(os.getpid(), signal.SIGINT)\nGone()\n"
+    (tmp_path / "sitecustomize.py").write_text(lines)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+    async def check() -> None:
+        kept = Jobs(2)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        both = await asyncio.gather(*(ended(kept, "info", REPLAY, "--json") for _ in range(2)))
+        assert [job.status for job in both] == [1, 1]
+        assert [job.to_json()["lines"] for job in both] == [["Aborted!"]] * 2
+        assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
     asyncio.run(check())
