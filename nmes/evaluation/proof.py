@@ -255,6 +255,8 @@ def follow(
     """
     if recording.config != protocol.complete_config(config):
         raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
+    if recording.start().snapshot is not None:
+        raise ProofError("diverged", f"{recording.path} begins with a world in which something was done before")
     checker = _Checker(make, models, log)
     try:
         report = replay(recording, watch=checker)
@@ -306,16 +308,30 @@ class _Checker(Generic[R]):
         self._run: R | None = None
         self._steps: Iterator[Step] = iter(())
         self._next: Step = None
-        self._over = False
+        self._over = self._left = False
 
-    def __call__(self, world: World, request: Request | None) -> None:
+    def __call__(self, world: World, happened: Request | Kind | None) -> None:
         """Takes one input, after it has acted."""
+        # One client is there all along. So the world never sleeps, of which what is watched and judged would be gone.
+        if self._left:
+            raise _divergence(world, f"{_input(happened)} after its client left")
         if self._run is None:
+            if happened is not Kind.JOINED:
+                raise _divergence(world, f"{_input(happened)} before a client came")
             self._run = self._make(world)
             self._steps = self._run.steps()
             self._advance(world)
-        if self._over:
-            raise _divergence(world, f"{_input(request)} after the end of the episode")
+        elif happened is Kind.LEFT:
+            self._left = True
+        elif self._over:
+            raise _divergence(world, f"{_input(happened)} after the end of the episode")
+        elif isinstance(happened, Kind):
+            raise _divergence(world, f"{_input(happened)} where there should be {_expected(self._next)}")
+        else:
+            self._compare(world, happened)
+
+    def _compare(self, world: World, request: Request | None) -> None:
+        """Compares a command or a tick with the next step."""
         while _leaves_alone(self._next, request):
             self._leave_alone(world)
         if not _agree(self._next, request):
@@ -402,8 +418,10 @@ def _divergence(world: World, what: str) -> ProofError:
     return ProofError("diverged", f"at frame {world.frame} it has {what}")
 
 
-def _input(request: Request | None) -> str:
-    return "a tick" if request is None else f"the command {request.type or 'that was refused'}"
+def _input(happened: Request | Kind | None) -> str:
+    if isinstance(happened, Kind):
+        return "a client who came" if happened is Kind.JOINED else "a sleep"
+    return "a tick" if happened is None else f"the command {happened.type or 'that was refused'}"
 
 
 def _expected(step: Step) -> str:

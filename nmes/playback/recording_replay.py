@@ -42,7 +42,7 @@ from nmes.world.journal import Journal
 
 __all__ = ["ReplayReport", "replay"]
 
-Watch = Callable[[World, Request | None], None]
+Watch = Callable[[World, Request | Kind | None], None]
 
 
 @dataclass(slots=True)
@@ -91,8 +91,9 @@ def replay(
     Args:
         recording: The recording, or its file.
         progress: Called now and then with how many bytes of the file are done, and its size.
-        watch: Called with the world after each frame of a client that was answered as recorded, with that frame, and
-            after each tick that came out as recorded, a fault among them, with None. What it raises ends the replay.
+        watch: Called with the world after each frame of a client that was answered as recorded, with that frame; after
+            each tick that came out as recorded, a fault among them, with None; after a client came or left, and before
+            the world sleeps, with the kind of the record. What it raises ends the replay.
         first: From which frame on, counted on through resets. The replay begins at the last keyframe before it, or at
             the beginning; what stands before is not read. None: from the beginning.
         last: Up to which frame, with what was sent then, or to the end of the command that ticks beyond it; None: to
@@ -203,10 +204,13 @@ class _RecordingReplay(Journal):
         if record is not None and (about.get("role"), about.get("player")) != (role, player):
             self._diverge("client", record, f"client {client} joined otherwise; now as {role}, player {player}")
             self._over = True
+        elif record is not None:
+            self._show_to_watch(Kind.JOINED)
 
     def left(self, client: int) -> None:
         """A client went."""
-        self._client(Kind.LEFT, client)
+        if self._client(Kind.LEFT, client) is not None:
+            self._show_to_watch(Kind.LEFT)
 
     def _client(self, kind: Kind, client: int) -> Record | None:
         record = self._expect(kind)
@@ -272,10 +276,10 @@ class _RecordingReplay(Journal):
         if not self._ticks:
             self._compare_poses()
 
-    def _show_to_watch(self, request: Request | None) -> None:
-        if self._watch is not None and self._mistake is None:
+    def _show_to_watch(self, happened: Request | Kind | None) -> None:
+        if self._watch is not None and self._mistake is None and self.divergence is None:
             try:
-                self._watch(self._world, request)
+                self._watch(self._world, happened)
             except Exception as error:
                 self._mistake = error
 
@@ -299,6 +303,8 @@ class _RecordingReplay(Journal):
         record = self._expect(Kind.HIBERNATED)
         if record is not None and record.about != {"frame": frame}:
             self._diverge("order", record, f"the recording has {_describe(record)}; now it is at frame {frame}")
+        elif record is not None:
+            self._show_to_watch(Kind.HIBERNATED)
 
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped."""

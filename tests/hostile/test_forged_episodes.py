@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +12,48 @@ import numpy as np
 import orjson
 import pytest
 
-from boards import DASH
+from boards import DASH, entries_of, run
 from creatures import snake
 from modelled import modelled
 from nmes.errors import ProofError
 from nmes.evaluation import Episode, Task, prove
 from nmes.evaluation.episode import METADATA, brain_of
+from nmes.evaluation.proof import retrace
 from nmes.evaluation.steps import Drive
 from nmes.genome import Genome
+from nmes.playback import replay
 from nmes.protocol import parse
 from nmes.recording import Recorder
 from nmes.world import World
 from recordings import Edit, Line, changed, commands_of, rewrite
 
 Change = Callable[[dict[str, Any]], dict[str, Any]]
+Break = Callable[[World, int], int]  # takes the client who drives, and returns who does from then on
+
+
+def stay(_world: World, client: int) -> int:
+    """Changes nothing."""
+    return client
+
+
+def come_back(world: World, client: int) -> int:
+    """Has the client leave, and come again at once."""
+    world.leave(client)
+    return world.join()
+
+
+def sleep(world: World, client: int) -> int:
+    """Has the world sleep meanwhile: what it is made of then is new."""
+    world.leave(client)
+    world.hibernate()
+    world.wake()
+    return world.join()
+
+
+def let_in(world: World, client: int) -> int:
+    """Lets somebody in who looks on."""
+    world.join()
+    return client
 
 
 def record(
@@ -38,6 +67,8 @@ def record(
     limits: dict[str, Any] | None = None,
     creature: dict[str, Any] | None = None,
     nudge: float = 0.0,
+    breaks: dict[int, Break] | None = None,
+    seed: int = 3,
 ) -> Path:
     """Records an episode, of which every reply and every digest is true.
 
@@ -51,14 +82,17 @@ def record(
         limits: What the task says of bodies.
         creature: The genome, if it is not a snake's.
         nudge: How much its first motor is driven by beside what the brain says.
+        breaks: What else happens, by the number of the step before which it does.
+        seed: The episode's.
     """
     task, genome = Task(DASH if limits is None else {**DASH, "limits": limits}), Genome(creature or snake())
-    world = World({**task.world_config(3), **config})
-    about = {METADATA: {"task": json.dumps(task.document), "genome": genome.hash, "seed": "3"}}
+    world = World({**task.world_config(seed), **config})
+    about = {METADATA: {"task": json.dumps(task.document), "genome": genome.hash, "seed": str(seed)}}
     recorder = world.journal = Recorder(path, world, about=about)
-    episode, client = Episode(world, genome, brain_of(genome), task, 3), world.join()
+    episode, client = Episode(world, genome, brain_of(genome), task, seed), world.join()
     stranger = None
     for number, step in enumerate(episode.steps()):
+        client = (breaks or {}).get(number, stay)(world, client)
         if number in extra:
             stranger = world.join() if other else client
             world.execute(stranger, extra[number])
@@ -136,6 +170,40 @@ def test_a_scene_that_is_set_otherwise_is_found(tmp_path: Path, change: dict[str
 
     with pytest.raises(ProofError, match="where there should be another"):
         prove(record(tmp_path / "x.mcap", {}, extra={}, change=changed))
+
+
+# -- who is in the world, and whether it stays the same one -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("brain", [True, False])
+@pytest.mark.parametrize("number", [3, 32, 70], ids=["coming to rest", "at its start", "driven"])
+@pytest.mark.parametrize(
+    ("interrupt", "found"),
+    [
+        (sleep, "a sleep after its client left"),
+        (come_back, "a client who came after its client left"),
+        (let_in, "a client who came where there should be"),
+    ],
+)
+def test_a_world_that_is_left_or_sleeps_on_the_way_proves_nothing(
+    tmp_path: Path, interrupt: Break, found: str, number: int, brain: bool
+) -> None:
+    made = record(tmp_path / "x.mcap", {}, extra={}, breaks={number: interrupt})
+    assert replay(made).verdict == "reproduced"
+    for prover in (partial(prove, brain=brain), retrace):
+        with pytest.raises(ProofError, match=f"it has {found}") as error:
+            prover(made)
+        assert error.value.code == "diverged"
+
+
+def test_a_leaderboard_lists_no_creature_whose_world_slept(tmp_path: Path) -> None:
+    board, task = tmp_path / "board.sqlite", tmp_path / "dash.json"
+    task.write_text(json.dumps(DASH))
+    assert run("tasks", board, "--allow", task).exit_code == 0
+    made = [record(tmp_path / f"{seed}.mcap", {}, extra={}, breaks={70: sleep}, seed=seed) for seed in DASH["seeds"]]
+    refused = run("add", board, *made)
+    assert refused.exit_code == 1 and "it has a sleep after its client left" in refused.stderr
+    assert entries_of(board) == []
 
 
 # -- what a model may round otherwise ---------------------------------------------------------------------------------

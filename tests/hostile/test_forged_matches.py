@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from nmes.evaluation.match import match_metadata
 from nmes.evaluation.match_task import METADATA
 from nmes.evaluation.steps import Drive
 from nmes.genome import Genome
+from nmes.playback import replay
 from nmes.protocol import parse
 from nmes.recording import Recorder
 from nmes.world import World
@@ -34,14 +36,30 @@ def record(
     swap: bool = False,
     task: MatchTask | None = None,
     nudge: str | None = None,
+    before: Sequence[dict[str, Any]] = (),
+    sleeps: int | None = None,
 ) -> Path:
-    """Records a match of half a second that says of itself what it is not; `nudge` is driven otherwise by its brain."""
+    """Records a match of half a second that says of itself what it is not.
+
+    Args:
+        path: The file.
+        says: What its metadata have otherwise.
+        config: What its world has otherwise than the task's.
+        swap: Whether creatures are driven in the other order.
+        task: The task, if it is another.
+        nudge: Who is driven otherwise than by its brain.
+        before: What was done in the world before it was recorded.
+        sleeps: The tick before which the world sleeps.
+    """
     task = task or duel(duration=0.5)
     world = World({**task.world_config(3), **(config or {})})
     about = {METADATA: {**match_metadata(task, PLAYERS, 3)[METADATA], **says}}
+    done = world.join() if before else None
+    for command in before:
+        assert done is not None and world.execute(done, command)["type"] != "error"
     recorder = world.journal = Recorder(path, world, about=about)
     match = Match(world, PLAYERS, {role: brain_of(genome) for role, genome in PLAYERS.items()}, task, 3)
-    client, ticks = world.join(), 0
+    client, ticks = world.join() if done is None else done, 0
     try:
         waiting: list[Drive] = []
         for step in match.steps():
@@ -54,6 +72,11 @@ def record(
                 world.drive(client, drive.creature, drive.controls)
             waiting.clear()
             if step is None:
+                if ticks == sleeps:
+                    world.leave(client)
+                    world.hibernate()
+                    world.wake()
+                    client = world.join()
                 ticks += 1
                 world.tick()
             else:
@@ -128,6 +151,27 @@ def test_only_whom_an_onnx_brain_drives_may_be_driven_otherwise(
 def test_a_match_in_another_world_is_none_of_the_task(tmp_path: Path) -> None:
     with pytest.raises(ProofError, match="the world is not the task's"):
         prove_match(record(tmp_path / "x.mcap", {}, config={"gravity": [0, -1, 0]}))
+
+
+@pytest.mark.parametrize("brain", [True, False])
+def test_a_match_in_a_world_in_which_something_stood_before_proves_nothing(tmp_path: Path, brain: bool) -> None:
+    wall = {"type": "spawn_cube", "cube_name": "wall", "position": [0, 0.5, 0], "size": 1, "freeze": True}
+    pasts: list[list[dict[str, Any]]] = [[wall], [{"type": "step"}]]
+    for number, before in enumerate(pasts):
+        made = record(tmp_path / f"{number}.mcap", {}, before=before)
+        assert replay(made).verdict == "reproduced"
+        with pytest.raises(ProofError, match="begins with a world in which something was done before"):
+            prove_match(made, brain=brain)
+
+
+@pytest.mark.parametrize("brain", [True, False])
+@pytest.mark.parametrize("tick", [5, 30], ids=["coming to rest", "driven"])
+def test_a_match_whose_world_sleeps_proves_nothing(tmp_path: Path, tick: int, brain: bool) -> None:
+    made = record(tmp_path / "x.mcap", {}, sleeps=tick)
+    assert replay(made).verdict == "reproduced"
+    with pytest.raises(ProofError, match="it has a sleep after its client left") as error:
+        prove_match(made, brain=brain)
+    assert error.value.code == "diverged"
 
 
 @pytest.mark.parametrize("brain", [True, False])
