@@ -194,8 +194,7 @@ class Rest:
 
     def __init__(self, body: Body, task: Setting) -> None:
         self.arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
-        low, high = body.bounds
-        self.size = max(b - a for a, b in zip(low, high, strict=True))
+        self.size = body.size
         self._limit = _REST_SPEED * self.size
         self._rate, self._still = task.tick_rate, 0
         self._ticks = max(1, round(_REST_TIME * task.tick_rate))

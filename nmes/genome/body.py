@@ -153,7 +153,7 @@ class Body:
         """The ids of the motors, then those of the voices: what a brain drives, and the order of controls."""
         return (*(motor.id for motor in self.motors), *(voice.id for voice in self.voices))
 
-    @property
+    @cached_property
     def mass(self) -> float:
         """Mass of all cubes, kg."""
         return total(cube.mass for cube in self.cubes)
@@ -179,6 +179,12 @@ class Body:
         points = np.concatenate([corners(cube) for cube in self.cubes])
         low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
         return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+    @cached_property
+    def size(self) -> float:
+        """The longest edge of the box around the body, m."""
+        low, high = self.bounds
+        return max(b - a for a, b in zip(low, high, strict=True))
 
 
 def corners(cube: BodyCube) -> Array:

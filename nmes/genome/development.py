@@ -18,7 +18,19 @@ from nmes.schemas.documents import did_you_mean
 if TYPE_CHECKING:
     from nmes.genome.body import Body, BodyJoint
 
-__all__ = ["NAMES", "PARTS", "Resize", "Rule", "deeds", "hanging", "read_rules", "resized"]
+__all__ = [
+    "NAMES",
+    "PARTS",
+    "Resize",
+    "Rule",
+    "deeds",
+    "hanging",
+    "lightest",
+    "outgrown",
+    "read_rules",
+    "resized",
+    "scales",
+]
 
 JsonObject = Mapping[str, Any]
 
@@ -205,12 +217,46 @@ def _placed(point: Vector, about: Vector, scale: float, shift: Vector) -> Vector
 
 def outgrown(body: Body) -> Iterator[Body]:
     """Yields the bodies that are to be judged besides the whole one: with each part as large as it may come to be."""
-    largest: dict[str, float] = {}
-    for rule in body.development:
-        for each in rule.resize:
-            largest[each.part] = max(largest.get(each.part, 1.0), each.scale)
+    _, largest = scales(body)
     if any(scale > 1.0 for scale in largest.values()):
-        yield resized(body, largest)
+        yield replace(resized(body, largest), development=())
+
+
+def scales(body: Body) -> tuple[dict[str, float], dict[str, float]]:
+    """Returns how small and how large its rules may make the parts of a body that they resize, by the ids of these."""
+    smallest: dict[str, float] = {}
+    largest: dict[str, float] = {}
+    for each in [each for rule in body.development for each in rule.resize]:
+        smallest[each.part] = min(smallest.get(each.part, 1.0), each.scale)
+        largest[each.part] = max(largest.get(each.part, 1.0), each.scale)
+    return smallest, largest
+
+
+def lightest(body: Body) -> Iterator[tuple[BodyJoint, Body]]:
+    """Yields each joint of a body with the least that rules can leave of it while that joint is there.
+
+    That is what they never take away, and what the joint hangs by; each part as small as it may come to be.
+    """
+    lost = {*body.later, *(part for rule in body.development for part in rule.shed)}
+    small = resized(body, scales(body)[0])
+    if not lost:
+        yield from ((joint, small) for joint in body.joints)
+        return
+    holds = hanging(body)
+    bases = {part: joint.cube2 if joint.cube1 == part else joint.cube1 for part, joint in holds.items()}
+    stays = {body.cubes[0].id}
+    for part, base in bases.items():  # the nearer ones first
+        if base in stays and part not in lost:
+            stays.add(part)
+    looped = len(body.joints) >= len(body.cubes)  # then there is another way, and what is on one may be gone
+    for joint in body.joints:
+        kept, at = {*stays, joint.cube1, joint.cube2}, [joint.cube1, joint.cube2]
+        while at and not looped:
+            next_up = bases.get(at.pop())
+            if next_up is not None and next_up not in kept:
+                kept.add(next_up)
+                at.append(next_up)
+        yield joint, replace(small, cubes=tuple(cube for cube in small.cubes if cube.id in kept))
 
 
 def named(rules: Sequence[Rule]) -> Collection[str]:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from nmes.genome.body import Body
+from nmes.genome.development import lightest, scales
 
 __all__ = ["Limits"]
 
@@ -42,40 +43,48 @@ class Limits:
 
     def check(self, body: Body) -> list[str]:
         """Returns the reasons why a body is not within the limits, in words; none if it is."""
-        low, high = body.bounds
-        size = max(b - a for a, b in zip(low, high, strict=True))
         reasons = []
         for limit, value, words in (
             (self.cubes, len(body.cubes), "{} cubes, at most {} are allowed"),
             (self.mass, body.mass, "{:g} kg, at most {:g} are allowed"),
-            (self.size, size, "{:g} m from end to end, at most {:g} are allowed"),
+            (self.size, body.size, "{:g} m from end to end, at most {:g} are allowed"),
         ):
             if limit is not None and value > limit * (1.0 + 1e-9):
                 reasons.append(f"the body has {words.format(value, limit)}")
-        reasons += self._unbuildable(body, size)
+        reasons += self._unbuildable(body)
         return reasons
 
-    def _unbuildable(self, body: Body, size: float) -> Iterator[str]:
-        """Yields the reasons why nothing of this kind could be built: the worst of its cubes, pairs and motors."""
-        masses = {cube.id: cube.mass for cube in body.cubes}
-        weight = _GRAVITY * body.mass
+    def _unbuildable(self, body: Body) -> Iterator[str]:
+        """Yields the reasons why nothing of this kind could be built: the worst of its cubes, pairs and motors.
+
+        Of one that develops, pairs are judged in the sizes to which its rules may bring them, and a motor by the
+        lightest body that they can leave it.
+        """
+        small, large = scales(body)
+        may = " as the body may develop" if body.development else ""
+        least = {cube.id: cube.mass * small.get(cube.id, 1.0) ** 3 for cube in body.cubes}
+        most = {cube.id: cube.mass * large.get(cube.id, 1.0) ** 3 for cube in body.cubes}
         densities = [(cube.mass / cube.volume, cube.id) for cube in body.cubes]
         bounces = [(cube.restitution or 0.0, cube.id) for cube in body.cubes]
-        pairs = [(masses[joint.cube1] / masses[joint.cube2], joint.id) for joint in body.joints]
-        pairs += [(1.0 / ratio, joint) for ratio, joint in pairs]
+        ends = [(joint.cube1, joint.cube2, joint.id) for joint in body.joints]
+        pairs = [(most[one] / least[two], joint) for one, two, joint in ends]
+        pairs += [(most[two] / least[one], joint) for one, two, joint in ends]
         efforts = [
-            (joint.motor.max_effort / (weight if joint.kind == "slide" else weight * size), joint.id)
-            for joint in body.joints
+            (
+                joint.motor.max_effort / (_GRAVITY * light.mass * (1.0 if joint.kind == "slide" else light.size)),
+                joint.id,
+            )
+            for joint, light in lightest(body)
             if joint.motor is not None
         ]
         for limit, values, words in (
             (self.density, densities, "cube {!r} has {:g} kg/m^3, at most {:g} are allowed"),
-            (self.neighbours, pairs, "joint {!r} joins masses of 1 to {:g}, at most 1 to {:g} are allowed"),
+            (self.neighbours, pairs, f"joint {{!r}} joins masses of 1 to {{:g}}{may}, at most 1 to {{:g}} are allowed"),
             (self.restitution, bounces, "cube {!r} has a restitution of {:g}, at most {:g} is allowed"),
             (
                 self.effort,
                 efforts,
-                "the motor of joint {!r} has an effort of {:g}, at most {:g} is allowed",
+                f"the motor of joint {{!r}} has an effort of {{:g}}{may}, at most {{:g}} is allowed",
             ),
         ):
             value, name = max(values, default=(0.0, ""), key=lambda each: each[0])

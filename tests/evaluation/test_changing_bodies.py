@@ -406,6 +406,57 @@ def test_bodies_are_judged_at_birth_and_as_they_may_come_to_be() -> None:
     ]
 
 
+def cart(
+    *rules: Json, mass: float = 1.0, ballast: float = 1.0, effort: float = 20.0, later: tuple[str, ...] = ()
+) -> Json:
+    """Returns a genome of two cubes that a motor joins, half a metre long, and a ballast on the first of them."""
+    motor = {"mode": "position", "range": [-1, 1], "max_effort": effort}
+    cubes = [
+        {"id": "a", "size": 0.2, "mass": 1, "position": [0, 0.2, 0]},
+        {"id": "b", "size": 0.2, "mass": mass, "position": [0.3, 0.2, 0]},
+        {"id": "ballast", "size": 0.2, "mass": ballast, "position": [-0.2, 0.2, 0]},
+    ]
+    joints = [
+        {"id": "h", "cube1": "a", "cube2": "b", "type": "hinge", "anchor": [0.15, 0.2, 0], "motor": motor},
+        {"id": "f", "cube1": "a", "cube2": "ballast", "type": "fixed", "anchor": [-0.1, 0.2, 0]},
+    ]
+    body = {"cubes": cubes, "joints": joints}
+    return {"format": "nmes-genome/1", "name": "cart", "body": body, "later": [*later], "development": [*rules]}
+
+
+@pytest.mark.parametrize(
+    ("body", "effort"),
+    [
+        (cart(), None),  # 20 / (3 kg * 9.81 m/s^2 * 0.7 m) is 0.97
+        (cart(ballast=18.0), None),
+        (cart({"when": "age > 0", "shed": ["ballast"]}, ballast=18.0), 2.03874),
+        (cart({"when": "age > 0", "grow": ["ballast"]}, ballast=18.0, later=("ballast",)), 2.03874),
+        (cart({"when": "age > 0", "shed": ["b"]}, ballast=18.0), None),  # and the motor with it
+        (cart({"when": "age > 0", "shed": ["b", "ballast"]}, ballast=18.0), 2.03874),
+        (cart({"when": "age > 0", "resize": [{"part": "ballast", "scale": 0.5}]}, ballast=2.0), 1.51017),
+    ],
+)
+def test_a_motor_is_judged_by_the_lightest_body_that_rules_can_leave_it(body: Json, effort: float | None) -> None:
+    asked, genome = task(limits={"effort": 1}), Genome(body)
+    told = (
+        f"the motor of joint 'h' has an effort of {effort:g} as the body may develop, at most 1 is allowed"
+        if effort
+        else ""
+    )
+    assert [reason for reason in asked.check(genome.body) if not reason.startswith("at birth")] == [told] * bool(effort)
+
+
+@pytest.mark.parametrize(("scales", "ratio"), [((), None), ((0.5,), 80), ((0.5, 2), 80), ((3.0,), 270), ((0.9,), None)])
+def test_neighbours_are_judged_in_all_sizes_that_rules_may_give_them(
+    scales: tuple[float, ...], ratio: int | None
+) -> None:
+    rules = [{"when": "age > 0", "resize": [{"part": "b", "scale": scale}]} for scale in scales]
+    mass = 10 if scales == (3.0,) else 0.1
+    reasons = task(limits={"neighbours": 20}).check(Genome(cart(*rules, mass=mass)).body)
+    told = f"joint 'h' joins masses of 1 to {ratio} as the body may develop, at most 1 to 20 are allowed"
+    assert reasons[:1] == [told] * (ratio is not None)
+
+
 def test_a_body_without_a_limb_cannot_be_injured() -> None:
     stump = {"format": "nmes-genome/1", "name": "stump", "body": {"cubes": snake()["body"]["cubes"][:1]}}
     assert evaluate(stump, "injury").error == "the task cuts off a limb, and the body has none at birth"
