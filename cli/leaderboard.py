@@ -108,13 +108,13 @@ def add(file: Path, recordings: tuple[str, ...], as_json: bool) -> None:
     \b
         nmes leaderboard add board.sqlite proofs/*.mcap
     """
-    from nmes.evaluation.leaderboard_entry import group, proved
+    from nmes.evaluation.leaderboard_entry import group
 
     listing = _Listing(_open(file, create=True), as_json)
     groups: dict[tuple[str, ...], list[AnyProof]] = {}
     for path in recordings:
         try:
-            proof = proved(path)
+            proof = listing.board.prove(path)
             groups.setdefault(group(proof), []).append(proof)
         except (NmesError, OSError) as error:
             listing.refuse(error)
@@ -228,7 +228,8 @@ def _import(listing: _Listing, packed: Pack, recordings: tuple[str, ...], allow:
 
     with TemporaryDirectory() as folder:
         try:
-            proofs = [proved(path) for path in packed.extract(recordings, Path(folder))]
+            prove = proved if allow else listing.board.prove
+            proofs = [prove(path) for path in packed.extract(recordings, Path(folder))]
             if allow:
                 listing.board.allow(proofs[0].task)
             listing.add(proofs)

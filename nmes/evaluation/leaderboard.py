@@ -32,7 +32,7 @@ import orjson
 from nmes.errors import LeaderboardError, NmesError
 from nmes.evaluation.authors import author_forms
 from nmes.evaluation.identity import borrows_name, shipped_hash, shipped_task
-from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, read_row, told
+from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, proved, read_row, told
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Lost, in_processes
 from nmes.evaluation.setting import MATCHES
@@ -169,7 +169,23 @@ class Leaderboard:
         with self._trouble():
             return self._db.execute("SELECT 1 FROM tasks WHERE hash = ?", (task_hash,)).fetchone() is not None
 
+    def _require_taken(self, task: str, task_hash: str) -> None:
+        if not self._takes(task_hash) or borrows_name(task, task_hash):
+            what = f"{self.path} does not take the task {task} ({task_hash[:16]})"
+            raise LeaderboardError("task_not_taken", f"{what}: see `nmes leaderboard tasks`")
+
     # -- entries -----------------------------------------------------------------------------------------------------
+
+    def prove(self, recording: str | os.PathLike[str]) -> AnyProof:
+        """Runs a recording again, the brains beside it, if its task is taken: one of another may be as long as it likes.
+
+        Raises:
+            LeaderboardError: The task is none that is taken (`task_not_taken`).
+            RecordingError, ProofError, DocumentError, MissingPackage: As by `prove` and `prove_match`.
+        """
+        task = told(recording)[0]
+        self._require_taken(task.name, task.hash)
+        return proved(recording)
 
     def add(self, proofs: Sequence[AnyProof]) -> Entry:
         """Lists the score that recordings prove, and keeps copies of them and of their signatures.
@@ -206,9 +222,7 @@ class Leaderboard:
     def _check(self, row: Mapping[str, Any]) -> None:
         """Refuses an entry that may not be listed here."""
         task, task_hash = row["task"], row["task_hash"]
-        if not self._takes(task_hash) or borrows_name(task, task_hash):
-            what = f"{self.path} does not take the task {task} ({task_hash[:16]})"
-            raise LeaderboardError("task_not_taken", f"{what}: see `nmes leaderboard tasks`")
+        self._require_taken(task, task_hash)
         others = self.entries(broken=True)
         for other in others:
             if other.broken is None and (other.task_hash, other.creature_hash) == (task_hash, row["creature_hash"]):

@@ -400,6 +400,9 @@ def _proved_again(entry: Entry, paths: Sequence[Path]) -> list[AnyProof]:
         with path.open("rb") as file:
             if file_digest(file, "sha256").hexdigest() != expected:
                 raise LeaderboardError("changed", f"{path} is not the recording that was listed")
+        task_hash = told(path)[0].hash
+        if task_hash != entry.task_hash:  # known before it is run, which may take as long as its task says
+            raise LeaderboardError("changed", f"task_hash: listed {entry.task_hash!r}, {path} is of {task_hash!r}")
     first = proved(paths[0])
     if len(set(paths)) > len(first.task.seeds) * max(len(entry.players), 1):  # counted before thousands of them are run
         raise _incomplete(first)

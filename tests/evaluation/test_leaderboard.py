@@ -156,6 +156,8 @@ def test_a_forged_command_is_refused_with_the_first_frame_that_differs(proofs: l
     with pytest.raises(ProofError, match=rf"diverges at frame {frame}: tick {frame} does not come out") as caught:
         prove(path)
     assert caught.value.code == "diverged"
+    with Leaderboard(tmp_path / "board.sqlite", create=True) as made:
+        made.allow(task())
     refused = run("add", tmp_path / "board.sqlite", path, proofs[1])
     assert refused.exit_code == 1 and f"frame {frame - 1}" in refused.stderr  # the brain would not have said that
     assert entries_of(tmp_path / "board.sqlite") == []

@@ -125,6 +125,8 @@ def test_an_entry_that_does_not_hold_is_refused_and_the_others_are_listed(packed
     contents |= {f"{digest}.mcap": forged, "entries.json": json.dumps(listed).encode()}
     done = run("import", tmp_path / "mine.sqlite", written(tmp_path / "forged.zip", contents), "--allow")
     assert done.exit_code == 1 and "refused: " in done.stderr and len(shown(tmp_path / "mine.sqlite")) == 2
+    unasked = run("import", tmp_path / "theirs.sqlite", tmp_path / "forged.zip")  # nothing of which is run
+    assert unasked.exit_code == 1 and unasked.stderr.count("does not take the task") == 3
 
 
 def entries_json(*recordings: str, **more: Any) -> bytes:

@@ -10,6 +10,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from nmes.evaluation.parallel import Lost
 from nmes.evaluation.setting import MATCHES
 from nmes.evolution.corpus import Corpus, CorpusTask
 from nmes.genome import Genome
-from recordings import rewrite
+from recordings import Line, changed, rewrite
 
 COLUMNS = ("task", "task_hash", "name", "genome_hash", "creature_hash", "author", "key", "score", "spread", "recorded")
 
@@ -584,6 +585,41 @@ def test_an_entry_on_a_task_with_a_borrowed_name_is_not_held(board: Path) -> Non
     assert f"walk (not the one that ships) {task_hash[:16]}" in run("show", board).stdout
     run("export", board, "-o", board.with_suffix(".html"))
     assert "walk (not the one that ships)" in board.with_suffix(".html").read_text()
+
+
+def diverging(lines: list[Line]) -> list[Line]:
+    """Returns the lines of a recording whose last tick comes out otherwise: it is found when it is run, and not before."""
+    at = [number for number, line in enumerate(lines) if line.topic == "ticks"][-1]
+    ticks = json.loads(lines[at].data)
+    ticks["digests"][-1] = "0" * 32
+    return changed(lines, at, json.dumps(ticks).encode())
+
+
+def test_a_recording_of_a_task_that_is_not_taken_is_not_run(board: Path, proofs: list[str], tmp_path: Path) -> None:
+    forged = [rewrite(Path(path), tmp_path / f"{number}.mcap", diverging) for number, path in enumerate(proofs[:2])]
+    assert "it diverges at frame" in run("add", board, *forged).stderr
+    refused = run("add", tmp_path / "other.sqlite", *forged)
+    assert refused.exit_code == 1 and refused.stderr.count("does not take the task dash") == 2
+    assert "diverges" not in refused.stderr
+
+
+def test_an_entry_whose_recordings_are_of_another_task_is_found_before_they_are_run(
+    board: Path, tmp_path: Path
+) -> None:
+    (sprint := tmp_path / "sprint.json").write_text(json.dumps({**DASH, "name": "sprint"}))
+    assert run("tasks", board, "--allow", sprint).exit_code == 0
+    forged = [
+        rewrite(recording_of(board, each), tmp_path / f"{number}.mcap", diverging)
+        for number, each in enumerate(entry(board).recordings)
+    ]
+    names = [sha256(path.read_bytes()).hexdigest() for path in forged]
+    for name, path in zip(names, forged, strict=True):
+        path.rename(recording_of(board, name))
+    edit(board, f"UPDATE entries SET recordings = '{json.dumps(names)}' WHERE name = 'wave'")
+    assert "it diverges at frame" in verdicts(board)[1]["wave"][1]
+    edit(board, f"UPDATE entries SET task_hash = '{Task.load(sprint).hash}' WHERE name = 'wave'")
+    status, found = verdicts(board)
+    assert status == 1 and found["wave"][0] == "broken" and found["wave"][1].startswith("task_hash: listed ")
 
 
 def test_a_board_takes_the_tasks_that_ship_and_those_it_is_told_to(
