@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
@@ -28,6 +29,7 @@ __all__ = ["OnnxBrain", "message_fields", "read_varint"]
 
 Bytes = NDArray[np.uint8]
 
+_MOST_TRIED: Final = 4096  # inputs that a model is fed for which it is not meant
 _FLOAT_MAX: Final = float(np.finfo(np.float32).max)
 _TYPES: Final[dict[str, np.dtype[Any]]] = {
     "tensor(float)": np.dtype(np.float32),
@@ -149,8 +151,7 @@ class _Weights(dict[str, Any]):
 
     def __getitem__(self, key: str) -> Array:
         model = base64.b64decode(self._document["model"])
-        parts = [np.frombuffer(model[begin:end], kind).astype(np.float64) for begin, end, kind in self._places]
-        return np.concatenate([np.empty(0), *parts])
+        return np.concatenate([np.empty(0), *(_numbers(model, place) for place in self._places)])
 
     def __setitem__(self, key: str, weights: Array) -> None:
         model = bytearray(base64.b64decode(self._document["model"]))
@@ -160,6 +161,11 @@ class _Weights(dict[str, Any]):
             model[begin:end] = weights[at : at + count].astype(kind).tobytes()
             at += count
         self._document["model"] = base64.b64encode(model).decode()
+
+
+def _numbers(model: bytes, place: tuple[int, int, str]) -> Array:
+    begin, end, kind = place
+    return np.frombuffer(model, kind, (end - begin) // np.dtype(kind).itemsize, begin).astype(np.float64)
 
 
 # -- the brain --------------------------------------------------------------------------------------------------------
@@ -254,7 +260,8 @@ class OnnxBrain(Brain):
             findings.add("model", f"draws random numbers ({', '.join(sorted(contents.random))})")
         if contents.external:
             findings.add("model", "keeps numbers in other files; a brain must hold all of its own")
-        self._places = contents.weights
+        # What stands for no number, as a bound of infinity does, or is beyond what a parameter may be is left as it is.
+        self._places = [place for place in contents.weights if (abs(_numbers(model, place)) <= _FLOAT_MAX).all()]
         if not (contents.random or contents.external):
             self._try(model, findings)
 
@@ -271,7 +278,10 @@ class OnnxBrain(Brain):
                 message = f"must have one tensor of floats or doubles for its {side}, has {tensors or 'none'}"
                 findings.add("model", message)
                 return
-        self._entries.expect(findings, "model", int(np.prod(self._shape_of(session))), "inputs", "inputs")
+        count = math.prod(self._shape_of(session))
+        self._entries.expect(findings, "model", count, "inputs", "inputs")
+        if count > max(self._entries.counts["inputs"], _MOST_TRIED):
+            return  # it cannot be fed by what it is for, and its zeros alone may fill the memory
         (node,) = sides["inputs"]
         fed = np.zeros(self._shape_of(session), _TYPES[node.type])
         try:

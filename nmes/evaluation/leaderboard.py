@@ -177,7 +177,7 @@ class Leaderboard:
     # -- entries -----------------------------------------------------------------------------------------------------
 
     def prove(self, recording: str | os.PathLike[str]) -> AnyProof:
-        """Runs a recording again, the brains beside it, if its task is taken: one of another may be as long as it likes.
+        """Runs a recording again, the brains beside it, if its task is taken: one of another may be of any length.
 
         Raises:
             LeaderboardError: The task is none that is taken (`task_not_taken`).

@@ -56,6 +56,28 @@ def test_the_weights_of_a_model_are_the_parameter_vector(way: str) -> None:
     np.testing.assert_array_equal(changed.step(np.ones(5)), expected)
 
 
+@pytest.mark.parametrize("odd", [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("kind", [FLOAT, DOUBLE])
+def test_tensors_with_what_is_no_finite_number_are_no_parameters(kind: int, odd: float) -> None:
+    made = model(
+        [node("MatMul", ["x", "w"], ["m"]), node("Min", ["m", "most"], ["y"])],
+        [tensor("w", W, kind), tensor("most", [[odd, 0.25]], kind)],
+        [value_info("x", kind, [1, 3])],
+        [value_info("y", kind, [1, 2])],
+    )
+    brain = onnx(made)
+    assert brain.to_vector().tolist() == W.ravel().tolist()
+    same, other = brain.with_vector(brain.to_vector()), brain.with_vector(np.zeros(6))
+    assert same.document == brain.document and other.document != brain.document
+    assert other.form() == brain.form()
+
+
+def test_numbers_beyond_the_bounds_of_a_parameter_are_none() -> None:
+    brain = onnx(layer(W * 1e300, B, kind=DOUBLE))
+    assert brain.to_vector().tolist() == B.tolist()
+    assert brain.with_vector(brain.to_vector()).document == brain.document
+
+
 def test_whole_numbers_of_a_model_are_no_parameters() -> None:
     made = model(
         [node("Reshape", ["x", "shape"], ["y"])],
@@ -67,6 +89,12 @@ def test_whole_numbers_of_a_model_are_no_parameters() -> None:
     assert brain.to_vector().shape == (0,)
     brain.reset(0, DT)
     assert brain.step(np.array([0.5, 0, 0, -3, 0])).tolist() == [0, -1, -1, 0, 0.5]
+
+
+def averaging(*shape: int) -> bytes:
+    """Returns a model with one output, the mean of its inputs."""
+    inputs, outputs = value_info("x", FLOAT, [*shape]), value_info("y", FLOAT, [1, 1])
+    return model([node("ReduceMean", ["x"], ["y"])], [], [inputs], [outputs])
 
 
 def test_outputs_that_are_nan_become_0_and_large_ones_are_clipped() -> None:
@@ -103,6 +131,8 @@ OVERLONG = field(1, "x") + field(2, "y") + b"\xa2\x80\x80\x80\x10" + field(4, "R
         (model([TRAINING], [], [], []), "draws random numbers (Dropout)"),
         (model([OVERLONG], [], [], []), "is no ONNX model: there is no field 536870916"),
         (layer(W, B, way="external"), "keeps numbers in other files"),
+        (averaging(1, 10**12), "has 1000000000000 inputs, and there must be 3, one for each entry of inputs"),
+        (averaging(10**8, 10**12), "has 100000000000000000000 inputs, and there must be 3"),
         (layer(W[:2], B), "has 2 inputs, and there must be 3, one for each entry of inputs"),
         (layer(W[:, :1], B[:1]), "has 1 outputs, and there must be 2, one for each entry of outputs"),
         (

@@ -588,7 +588,7 @@ def test_an_entry_on_a_task_with_a_borrowed_name_is_not_held(board: Path) -> Non
 
 
 def diverging(lines: list[Line]) -> list[Line]:
-    """Returns the lines of a recording whose last tick comes out otherwise: it is found when it is run, and not before."""
+    """Returns the lines of a recording whose last tick comes out otherwise, which is found when it is run."""
     at = [number for number, line in enumerate(lines) if line.topic == "ticks"][-1]
     ticks = json.loads(lines[at].data)
     ticks["digests"][-1] = "0" * 32
