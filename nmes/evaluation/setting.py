@@ -98,10 +98,12 @@ class Setting:
         self.seeds: tuple[int, ...] = tuple(document["seeds"])
         self.unit: str = document.get("unit", "")
         self.hash = canonical_hash(task_identity(document))
-        ticks = self.settle_ticks + self.ticks
+        ticks = self.settle_limit_ticks + self.ticks
         for count, most, what in ((ticks, _TICKS, "ticks"), (ticks * self._config["substeps"], _STEPS, "engine steps")):
             if count > most:
-                raise DocumentError([("duration", f"makes episodes of {count:,} {what}, at most {most:,}")])
+                raise DocumentError(
+                    [("duration", f"makes with settle_limit episodes of {count:,} {what}, at most {most:,}")]
+                )
 
     @property
     def tick_rate(self) -> int:

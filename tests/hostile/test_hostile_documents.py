@@ -268,8 +268,9 @@ def test_a_landscape_s_image_is_of_the_size_that_its_first_chunk_says() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"duration": 600, "world": {"tick_rate": 1000}}, "600,500 ticks, at most 100,000"),
-        ({"duration": 600, "world": {"tick_rate": 100, "substeps": 100}}, "6,005,000 engine steps, at most 1,000,000"),
+        ({"duration": 600, "world": {"tick_rate": 1000}}, "610,000 ticks, at most 100,000"),
+        ({"duration": 600, "world": {"tick_rate": 100, "substeps": 100}}, "6,100,000 engine steps, at most 1,000,000"),
+        ({"settle_limit": 60, "world": {"tick_rate": 1000, "substeps": 16}}, "engine steps, at most 1,000,000"),
     ],
 )
 def test_a_task_has_episodes_of_bounded_length(changes: Json, words: str) -> None:
