@@ -242,9 +242,12 @@ class Leaderboard:
                 if file_digest(file, "sha256").hexdigest() != proof.recording_hash:
                     raise LeaderboardError("changed", f"{proof.path} was changed while it was looked at")
             part.replace(copy)
+            signature = Path(f"{copy}{SUFFIX}")
             if Path(f"{proof.path}{SUFFIX}").is_file():
                 shutil.copyfile(f"{proof.path}{SUFFIX}", part)
-                part.replace(f"{copy}{SUFFIX}")
+                part.replace(signature)
+            else:
+                signature.unlink(missing_ok=True)  # of an entry that was here before
         finally:
             part.unlink(missing_ok=True)
 

@@ -75,6 +75,18 @@ def test_a_signature_that_is_gone_or_of_another_recording_is_found(tmp_path: Pat
         assert verdicts(board)[0] == 1
 
 
+def test_a_signature_that_another_listing_left_beside_a_recording_goes(tmp_path: Path, dash: Path) -> None:
+    board, ada = tmp_path / "board.sqlite", key_in(tmp_path / "ada.pem", 1)
+    run("tasks", board, "--allow", dash)
+    mine = signed(proofs_of(tmp_path / "1", snake(name="mine")), ada)
+    assert run("add", board, *mine).exit_code == 0
+    edit(board, "DELETE FROM entries")
+    for path in mine:
+        Path(f"{path}.sig").unlink()
+    assert run("add", board, *mine).exit_code == 0 and entry(board, "mine").key == ""
+    assert verdicts(board) == (0, {"mine": ("holds", "")})
+
+
 ALIKE = [
     "\u0410da",  # A is Cyrillic
     "Ad\u0430",  # and here a
