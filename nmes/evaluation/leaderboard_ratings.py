@@ -58,7 +58,9 @@ def rated(entries: Iterable[Entry]) -> list[Rated]:
         entries: Of any tasks; those for one creature are left out, and those where all had the first place in every
             match, as on a task whose roles have one objective.
     """
-    met = sorted((entry for entry in entries if entry.players), key=lambda entry: (entry.task, entry.task_hash))
+    met = sorted(
+        (entry for entry in entries if len(entry.players) > 1), key=lambda entry: (entry.task, entry.task_hash)
+    )
     found: list[Rated] = []
     for _, group in groupby(met, key=lambda entry: (entry.task, entry.task_hash)):
         of_task = sorted(group, key=lambda entry: entry.creature_hash)

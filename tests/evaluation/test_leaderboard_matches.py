@@ -142,6 +142,7 @@ def test_matches_of_others_are_no_part_of_an_entry(races: list[str], tmp_path: P
         ('"score":', '"score":1', "players: listed"),
         ('"places":[0', '"places":[0.0', "no leaderboard writes"),
         ('"places":[', '"place":[', "no leaderboard writes"),
+        ('"places":[1,', '"places":[1,1,', "no leaderboard writes"),
         ('"name":"slow"', '"name":["slow"]', "no leaderboard writes"),
         ("[{", "{", "cannot be read"),
     ],
@@ -155,6 +156,20 @@ def test_what_was_edited_of_a_pair_is_found(old: str, new: str, said: str, board
     broken = [reason for verdict, reason in found.values() if verdict == "broken"]
     assert status == 1 and len(broken) == 1 and said in broken[0]
     assert run("show", board).exit_code == run("ratings", board).exit_code == 0
+
+
+@pytest.mark.parametrize("kept", [0, 1])
+def test_ratings_pass_over_a_row_with_too_few_players(kept: int, board: Path) -> None:
+    edit(board, f"UPDATE entries SET players = json_array(json_extract(players, '$[{kept}]')) WHERE name LIKE '%slow%'")
+    rated = run("ratings", board, "--json")
+    assert rated.exit_code == 0 and {
+        each["name"]: each["wins"] + each["losses"] for each in json.loads(rated.stdout)
+    } == {
+        "fast": 4,
+        "still": 4,
+    }
+    status, found = verdicts(board)
+    assert status == 1 and [verdict for verdict, _ in found.values()].count("broken") == 2
 
 
 def test_a_signature_of_matches_is_no_claim_to_a_creature(tmp_path: Path) -> None:
