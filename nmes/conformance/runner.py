@@ -28,7 +28,7 @@ from nmes.conformance.case import Case, Finding, Level, NotTried, Scope, Unimple
 from nmes.conformance.cases import CASES, CATEGORIES
 from nmes.conformance.clauses import sentence
 from nmes.conformance.model import Script, play_script
-from nmes.conformance.trial import Halt, Probe, Target, Trial
+from nmes.conformance.trial import Halt, Halted, Probe, Target, Trial
 from nmes.conformance.wire import Entry, Log, frame_of, read_json
 from nmes.errors import NmesError
 from nmes.protocol import DELIMITER
@@ -199,10 +199,26 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
     options = options or Options()
     cases = select(options)
     started, began = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
-    probe = examine(target)
+    halt = Halt()
+    with _time_limit(halt, options.time_limit, began):
+        probe = examine(target, halt)
+        results = _play_all(target, probe, cases, options, halt, on_result)
+    ordered = [results[case.number] for case in cases]
+    halted = halt.reason if any(result.reason == halt.reason for result in ordered if result.reason) else None
+    return Report(target, probe, options, ordered, started, time.monotonic() - began, halted)
+
+
+def _play_all(
+    target: Target,
+    probe: Probe,
+    cases: Sequence[Case],
+    options: Options,
+    halt: Halt,
+    on_result: Callable[[Result], None] | None,
+) -> dict[str, Result]:
+    """Plays cases, each when its turn has come; returns the results by number."""
     plots = {case.number: index for index, case in enumerate(CASES)}
     results: dict[str, Result] = {}
-    halt = Halt()
 
     def take(result: Result) -> None:
         results[result.case.number] = result
@@ -216,13 +232,13 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
 
     playable: list[Case] = []
     for case in cases:
-        if reason := _lacking(probe, case):
+        if halt.reason is None and (reason := _lacking(probe, case)):
             take(Result(case, Verdict.SKIPPED, reason=reason))
         else:
             playable.append(case)
     by_scope = {scope: [case for case in playable if case.scope is scope] for scope in Scope}
     pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="case")
-    with pool, _time_limit(halt, options.time_limit, began):
+    with pool:
         together = sorted(by_scope[Scope.CONNECTION], key=lambda case: -case.wait)
         pending = {pool.submit(job, case): case for case in together}
         # Those that only wait for a time-out, and touch nothing, go on beside the cases that follow.
@@ -242,9 +258,7 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
         _collect(pending, take, lambda case: True)
         for case in by_scope[Scope.HOST]:
             take(job(case))
-    ordered = [results[case.number] for case in cases]
-    halted = halt.reason if any(result.reason == halt.reason for result in ordered if result.reason) else None
-    return Report(target, probe, options, ordered, started, time.monotonic() - began, halted)
+    return results
 
 
 def _lacking(probe: Probe, case: Case) -> str:
@@ -278,14 +292,15 @@ def replay(target: Target, script: Script) -> Result:
     Raises:
         Unreachable: As `run`.
     """
-    probe = examine(target)
+    halt = Halt()
+    probe = examine(target, halt)
     case = Case(
         "replay", "search", "Every answer is one that a world must give", "3.3.1", Level.MUST, (), Scope.TIME, 0.0,
         lambda trial: play_script(trial, script),
     )  # fmt: skip
     _stop_time(target, probe)
     try:
-        return play(target, probe, case, 0, 0, Halt())
+        return play(target, probe, case, 0, 0, halt)
     finally:
         _release(target, probe)
 
@@ -301,8 +316,10 @@ def _collect(
             take(future.result())
 
 
-def examine(target: Target) -> Probe:
+def examine(target: Target, halt: Halt) -> Probe:
     """Probes a server: its banner, world and capabilities.
+
+    Where the run is ended meanwhile, the probe holds what was learned before.
 
     Raises:
         Unreachable: Nothing listens there, or the password is refused in both dialects.
@@ -317,9 +334,12 @@ def examine(target: Target) -> Probe:
     trouble: str | None = None
     with wire:
         try:
+            halt.watch(wire)
             welcome = target.enter(wire)
+        except Halted as halted:
+            return Probe({}, {}, frozenset(), "r0", str(halted))
         except Finding as finding:
-            if _refuses(target, log):
+            if halt.reason is None and _refuses(target, log, halt):
                 raise Unreachable("auth_failed", "the server refuses that password in both dialects") from finding
             return Probe({}, {}, frozenset(), "r0", str(finding))
         try:
@@ -339,16 +359,17 @@ def examine(target: Target) -> Probe:
     return Probe(welcome, info, frozenset(capabilities), tag, trouble)
 
 
-def _refuses(target: Target, log: Log) -> bool:
+def _refuses(target: Target, log: Log, halt: Halt) -> bool:
     """Whether a server answers `auth_failed` in both dialects."""
     frames = [frame_of({"type": "auth", "password": target.password}), target.password.encode() + DELIMITER]
     for first in frames:
         try:
             with target.connect(log, "probe") as wire:
+                halt.watch(wire)
                 wire.send(first)
                 if b"auth_failed" not in wire.frame(what="an answer"):
                     return False
-        except Finding:
+        except (Finding, Halted):
             return False
     return True
 

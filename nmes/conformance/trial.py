@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import random
 import threading
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -392,7 +393,8 @@ class Trial:
                 else:
                     wire.say(*({"type": "despawn_cube", "cube_name": name} for name in names))
                 wire.say({"type": "ping"})
-                while read_json(wire.frame()).get("type") != "pong":
+                until = time.monotonic() + wire.timeout
+                while read_json(wire.frame(until - time.monotonic())).get("type") != "pong":
                     pass
         except Finding as finding:
             self.log.add("cleaner", "note", f"could not clean up: {finding}".encode())

@@ -1,11 +1,13 @@
 """A WebSocket in place of a socket, for a `Wire`: each of its text frames is a message, in both directions.
 
-It hides the library. What a stream of bytes can do and a WebSocket cannot, parts of messages, is not tried.
+It hides the library. Invariant: no call waits for longer than the time-out that was set, whatever the server sends
+meanwhile that is no message. What a stream of bytes can do and a WebSocket cannot, parts of messages, is not tried.
 """
 
 from __future__ import annotations
 
 import socket
+import time
 
 from websockets.client import ClientProtocol
 from websockets.exceptions import InvalidHandshake, WebSocketException
@@ -35,12 +37,14 @@ class WebSocketSocket:
         self._protocol = ClientProtocol(parse_uri(f"ws://{name}:{port}/ws"), max_size=_LONGEST)
         self._received = bytearray()
         self._over = False
+        self._timeout = timeout
         self._socket = socket.create_connection((host, port), timeout)
         try:
             self._protocol.send_request(self._protocol.connect())
             self._flush()
+            until = time.monotonic() + timeout
             while self._protocol.state is State.CONNECTING:
-                self._read()
+                self._read(until)
             if self._protocol.handshake_exc is not None:
                 raise self._protocol.handshake_exc
         except (WebSocketException, InvalidHandshake) as error:
@@ -93,14 +97,20 @@ class WebSocketSocket:
 
     def recv(self, count: int, flags: int = 0) -> bytes:
         """Returns the bytes received, a delimiter behind each message; nothing when the server has hung up."""
+        until = time.monotonic() + self._timeout
         while not self._received and not self._over:
-            self._read()
+            self._read(until)
         data = bytes(self._received[:count])
         if not flags & socket.MSG_PEEK:
             del self._received[:count]
         return data
 
-    def _read(self) -> None:
+    def _read(self, until: float) -> None:
+        """Reads once; raises TimeoutError where nothing comes in time."""
+        left = until - time.monotonic()
+        if left <= 0:
+            raise TimeoutError("timed out")
+        self._socket.settimeout(left)
         data = self._socket.recv(_READ)
         if data:
             self._protocol.receive_data(data)
@@ -120,7 +130,8 @@ class WebSocketSocket:
     # -- all else --------------------------------------------------------------------------------------------------
 
     def settimeout(self, seconds: float) -> None:
-        """Says how long each wait may take."""
+        """Says how long each call may take."""
+        self._timeout = seconds
         self._socket.settimeout(seconds)
 
     def setsockopt(self, level: int, option: int, value: int | bytes) -> None:

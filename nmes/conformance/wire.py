@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NoReturn, Self
@@ -125,12 +125,13 @@ class Wire:
     def stuff(self, data: bytes, most: int, patience: float) -> int:
         """Sends the same bytes again and again, reading nothing, until the server takes no more; returns how many.
 
-        Ends after `most` bytes, or when nothing was taken for `patience` s.
+        Ends after `most` bytes, when nothing was taken for `patience` s, or when the time-out is over.
         """
+        until = time.monotonic() + self.timeout
         self._socket.settimeout(patience)
         sent = 0
         try:
-            while sent < most:
+            while sent < most and time.monotonic() < until:
                 sent += self._socket.send(data[sent % len(data) :])
         except OSError as error:  # also when it takes no more: that is the point
             self._log.add(self.name, "note", f"stopped sending: {error}".encode())
@@ -151,6 +152,7 @@ class Wire:
     def hang_up(self) -> None:
         """Closes the sending side of the connection; reading goes on, where there are two sides (`half_closes`)."""
         self._log.add(self.name, "note", b"nothing more will be sent")
+        self._socket.settimeout(self.timeout)
         try:
             self._socket.shutdown(socket.SHUT_WR)
         except OSError as error:
@@ -196,11 +198,15 @@ class Wire:
         """Returns the next message, strict JSON that its schema allows."""
         return read_message(self.frame(timeout, what))
 
+    def messages(self, what: str, timeout: float | None = None) -> Iterator[Message]:
+        """Yields the messages that come, without end; all that are taken must come within one time-out."""
+        until = time.monotonic() + (self.timeout if timeout is None else timeout)
+        while True:
+            yield self.hear(until - time.monotonic(), what)
+
     def reply(self, what: str = "a reply", timeout: float | None = None) -> Message:
         """Returns the next message that is no event."""
-        while is_event(message := self.hear(timeout, what)):
-            pass
-        return message
+        return next(message for message in self.messages(what, timeout) if not is_event(message))
 
     def ask(self, command: Mapping[str, Any], timeout: float | None = None) -> Message:
         """Sends a command, with an `id` if it has none, and returns the next message, be it reply or error.
@@ -239,9 +245,12 @@ class Wire:
         Raises:
             Finding: Something does.
         """
-        until = time.monotonic() + seconds
+        until, came = time.monotonic() + seconds, False
         while DELIMITER not in self._buffer:
-            self._socket.settimeout(max(until - time.monotonic(), 0.001))
+            left = until - time.monotonic()
+            if len(self._buffer) >= FRAME_LIMIT or (came and left <= 0):
+                break  # it goes on and on, be it without a delimiter
+            self._socket.settimeout(max(left, 0.001))
             try:
                 data = self._socket.recv(READ)
             except TimeoutError:
@@ -253,6 +262,7 @@ class Wire:
                 self._end("closed by the server", "closed by the server")
                 raise self._ended("silence and an open connection")
             self._take(data)
+            came = True
         raise Finding("no frame", clip(bytes(self._buffer)))
 
     def _receive(self, until: float, what: str) -> bool:

@@ -11,9 +11,8 @@ import secrets
 import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -23,6 +22,7 @@ from click.testing import CliRunner
 from click.testing import Result as Outcome
 
 from disks import full_disk
+from hostile_servers import listening
 from layout import ROOT
 from nmes.cli import main
 from nmes.conformance import CASES, Category, Options, Report, Target, Trial, Verdict, run, select, suite_hash
@@ -54,31 +54,6 @@ def process(*arguments: str) -> tuple[int, str]:
     command = [sys.executable, "-m", "nmes", "conform", *arguments]
     outcome = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE * 4)
     return outcome.returncode, outcome.stdout
-
-
-@contextmanager
-def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
-    """Runs a server that does with each connection what `answer` says."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        connections = []
-
-        def serve() -> None:
-            while True:
-                try:
-                    connection, _ = server.accept()
-                except OSError:
-                    return
-                connections.append(connection)
-                with suppress(OSError):  # the suite has hung up
-                    answer(connection)
-
-        thread = threading.Thread(target=serve, daemon=True)
-        thread.start()
-        yield server.getsockname()[1]
-        server.shutdown(socket.SHUT_RDWR)
-        thread.join()
-        for connection in connections:
-            connection.close()
 
 
 # -- our own server ---------------------------------------------------------------------------------------------------

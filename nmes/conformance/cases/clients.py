@@ -10,6 +10,8 @@ from nmes.conformance.trial import Trial
 CLIENTS = Category(9, "clients")
 case, table = CLIENTS.case, CLIENTS.table
 
+LOOKS = 200  # at a number of clients until it stays the same: ten seconds of them
+
 
 @case(1, "4.spawn_cube")
 def one_world(t: Trial) -> None:
@@ -134,6 +136,7 @@ def clients_are_counted(t: Trial) -> None:
         """Waits until those that have left are gone: a server hears of it in its own time."""
         counts = [now()]
         while len(counts) < 5 or len(set(counts[-5:])) > 1:
+            t.true(len(counts) < LOOKS, "a number that stays the same when nobody comes or goes", counts[-5:])
             t.sleep(0.05)
             counts.append(now())
         return counts[-1]

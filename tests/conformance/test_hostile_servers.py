@@ -1,0 +1,97 @@
+"""The suite against servers that want it to hang, to stumble, or to show what they like: it judges them all the same."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import itertools
+import json
+import socket
+from typing import Any
+
+import pytest
+
+from hostile_servers import WELCOME, Answer, answering, listening
+from nmes.conformance import Options, Report, Target, Verdict, run
+from nmes.protocol import DELIMITER
+from servers import PASSWORD, PATIENCE
+
+TICKS = b'{"type":"tick","frame":1,"t":0.1}' + DELIMITER
+SUBSCRIBED = {
+    "type": "subscribed", "events": ["tick"], "every": 1, "position_threshold": 0.01, "rotation_threshold": 0.01
+}  # fmt: skip
+SPAWNED = {"type": "cube_list", "cubes": [], "spawned": "cube_1_aaaaaaaa"}
+
+
+def judge(port: int, *only: str, timeout: float = 0.3, scheme: str = "tcp", **options: Any) -> Report:
+    return run(Target("127.0.0.1", port, PASSWORD, timeout, scheme), Options(only=only, **options))
+
+
+# -- servers that never end -------------------------------------------------------------------------------------------
+
+
+def test_a_server_that_sends_events_without_end_fails_after_one_time_out() -> None:
+    def answer(said: dict[str, Any]) -> Answer | None:
+        if said["type"] == "step":
+            return {"type": "stepped", "frame": 1, "t": 0.1}
+        if said["type"] == "subscribe":
+            return SUBSCRIBED
+        return itertools.repeat(TICKS) if said["type"] == "ping" else None
+
+    with answering(answer) as port:
+        report = judge(port, "5.1", "11.1")
+    assert [result.verdict for result in report.results] == [Verdict.FAILED] * 2
+    assert [result.expected for result in report.results] == ["a reply to ping in time", "events and pong in time"]
+
+
+def test_a_server_that_sends_half_a_frame_without_end_is_not_quiet() -> None:
+    def serve(connection: socket.socket) -> None:
+        connection.recv(1 << 16)
+        connection.sendall(json.dumps(WELCOME).encode() + DELIMITER)
+        while True:
+            connection.sendall(b"x" * 65536)
+
+    with listening(serve) as port:
+        report = judge(port, "1.5")
+    assert [result.verdict for result in report.results] == [Verdict.FAILED]
+
+
+def test_a_server_that_answers_cleaning_up_without_end_ends_the_case() -> None:
+    def answer(said: dict[str, Any]) -> Answer | None:
+        if said["type"] == "spawn_cube":
+            return SPAWNED
+        return itertools.repeat(b'{"type":"pang"}' + DELIMITER) if said["type"] == "despawn_cube" else None
+
+    with answering(answer) as port:
+        (result,) = judge(port, "7.5").results
+    assert result.verdict is Verdict.FAILED
+    assert b"could not clean up" in result.log[-1].data
+
+
+def accept_key(request: bytes) -> bytes:
+    (key,) = (line.split(b": ")[1] for line in request.split(b"\r\n") if line.lower().startswith(b"sec-websocket-key"))
+    return base64.b64encode(hashlib.sha1(key + b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11").digest())
+
+
+def test_a_websocket_of_control_frames_without_end_fails_after_one_time_out() -> None:
+    def serve(connection: socket.socket) -> None:
+        request = b""
+        while b"\r\n\r\n" not in request:
+            request += connection.recv(1 << 16)
+        head = (
+            b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: "
+        )
+        connection.sendall(head + accept_key(request) + b"\r\n\r\n")
+        while True:
+            connection.sendall(b"\x8a\x00")  # pongs that nobody asked for
+
+    with listening(serve) as port:
+        report = judge(port, "5.1", scheme="ws")
+    assert [result.expected for result in report.results] == ["auth_success in time"]
+
+
+def test_a_time_limit_runs_before_the_first_case() -> None:
+    with listening(lambda connection: None) as port:
+        report = judge(port, "5.1", "5.2*", "10.1", timeout=100 * PATIENCE, time_limit=0.3)
+    assert report.halted == "the time limit of 0.3 s was over" and report.exit_status == 2
+    assert {result.reason for result in report.results} == {report.halted}
