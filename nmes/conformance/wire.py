@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 from nmes.conformance.case import Finding
 from nmes.errors import NmesError
-from nmes.protocol import DELIMITER, EVENTS, REPLIES, validate_event, validate_reply
+from nmes.protocol import DELIMITER, EVENTS, REPLIES, decode, validate_event, validate_reply
 
 if TYPE_CHECKING:
     from nmes.conformance.websocket import WebSocketSocket
@@ -348,8 +348,12 @@ def read_json(frame: bytes) -> Message:
     def number(text: str) -> float:
         value = float(text)
         if value in (float("inf"), float("-inf")):
-            raise ValueError(f"{text} is infinite")
+            raise ValueError(f"{text[:SHOWN]} is infinite")
         return value
+
+    def whole(text: str) -> int:
+        number(text)
+        return int(text)
 
     def pairs(items: list[tuple[str, Any]]) -> Message:
         message = Message(items)
@@ -359,9 +363,11 @@ def read_json(frame: bytes) -> Message:
 
     try:
         text = frame.decode()
-        value = json.loads(text, object_pairs_hook=pairs, parse_constant=refuse, parse_float=number)
+        value = json.loads(text, object_pairs_hook=pairs, parse_constant=refuse, parse_float=number, parse_int=whole)
         if "\\u" in text:
             json.dumps(value, ensure_ascii=False).encode()  # refuses lone surrogates
+        if isinstance(value, Message):
+            decode(frame)  # refuses what is nested too deep
     except (ValueError, RecursionError) as error:
         raise Finding(f"strict JSON ({error})", clip(frame), "no strict JSON") from error
     if not isinstance(value, Message):

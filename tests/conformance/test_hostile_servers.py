@@ -1,4 +1,4 @@
-"""The suite against servers that want it to hang, to stumble, or to show what they like: it judges them all the same."""
+"""The suite against servers that want it to hang, to stumble or to show what they like: it judges them all the same."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import socket
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
+from click.testing import Result as Outcome
 
-from hostile_servers import WELCOME, Answer, answering, listening
+from hostile_servers import ANSWERS, WELCOME, Answer, answering, listening
+from nmes.cli import main
 from nmes.conformance import Options, Report, Target, Verdict, run
 from nmes.protocol import DELIMITER
 from servers import PASSWORD, PATIENCE
@@ -25,6 +28,10 @@ SPAWNED = {"type": "cube_list", "cubes": [], "spawned": "cube_1_aaaaaaaa"}
 
 def judge(port: int, *only: str, timeout: float = 0.3, scheme: str = "tcp", **options: Any) -> Report:
     return run(Target("127.0.0.1", port, PASSWORD, timeout, scheme), Options(only=only, **options))
+
+
+def conform(*arguments: str) -> Outcome:
+    return CliRunner().invoke(main, ["conform", *arguments], env={"NMES_PASSWORD": PASSWORD})
 
 
 # -- servers that never end -------------------------------------------------------------------------------------------
@@ -95,3 +102,20 @@ def test_a_time_limit_runs_before_the_first_case() -> None:
         report = judge(port, "5.1", "5.2*", "10.1", timeout=100 * PATIENCE, time_limit=0.3)
     assert report.halted == "the time limit of 0.3 s was over" and report.exit_status == 2
     assert {result.reason for result in report.results} == {report.halted}
+
+
+# -- answers that hardly anything can read ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", ["[" * 400 + "]" * 400, "9" * 400, "-" + "9" * 309, '{"a":' * 300 + "1" + "}" * 300])
+def test_what_is_nested_too_deep_or_beyond_all_numbers_is_no_strict_json(value: str) -> None:
+    for kind in ("auth", "get_world_info", "ping"):
+        sent = json.dumps(ANSWERS[kind])[:-1].encode() + f',"x":{value}}}'.encode() + DELIMITER
+        with answering(lambda said, kind=kind, sent=sent: [sent] if said["type"] == kind else None) as port:
+            outcome = conform(f"127.0.0.1:{port}", "--only", "5.1", "--timeout", "0.5", "--json")
+        report = json.loads(outcome.stdout)
+        (result,) = report["results"]
+        if kind == "get_world_info":
+            assert "strict JSON" in report["trouble"]
+        else:
+            assert (outcome.exit_code, result["verdict"], result["cause"]) == (1, "failed", "no strict JSON")
