@@ -36,7 +36,7 @@ from nmes.conformance import (
 )
 from nmes.conformance.model import Script, load_script, write_script
 from nmes.conformance.report import to_html, to_json, to_junit
-from nmes.errors import DocumentError, NmesError
+from nmes.errors import DocumentError, NmesError, visible
 
 __all__ = ["command"]
 
@@ -151,7 +151,7 @@ def command(
         files = {path: form for path, form in ((page, to_html), (junit, to_junit)) if path is not None}
         sys.exit(_judge(target, options, len(cases), files, as_json))
     except NmesError as error:
-        click.echo(f"Error: {error.message}", err=True)
+        click.echo(f"Error: {visible(error.message)}", err=True)
         sys.exit(2)
 
 
@@ -287,7 +287,7 @@ def _print(report: Report, scripts: dict[str, Path]) -> None:
     for cause, results in report.causes.items():
         numbers = ", ".join(result.case.number for result in results[:SOME])
         more = f" and {len(results) - SOME} more" if len(results) > SOME else ""
-        console.print(f"{len(results):>5}  {escape(cause)}: {numbers}{more}")
+        console.print(f"{len(results):>5}  {escape(visible(cause))}: {numbers}{more}")
     if report.probe.trouble is not None and all(cause.startswith("a connection ") for cause in report.causes):
         console.print("It hangs up on whoever comes; if it speaks TLS, judge it without: the suite speaks none.")
     where = report.target.address
@@ -302,10 +302,10 @@ def _print_result(console: Console, result: Result) -> None:
     style = STYLES[result.verdict]
     console.print(f"[{style}]{result.verdict}[/] {escape(result.case.number)} {escape(result.case.title)}")
     if result.verdict is Verdict.FAULT:
-        console.print(escape(result.reason or ""))
+        console.print(escape(visible(result.reason or "", keep="\n")))
         return
-    console.print(f"  expected  {escape(result.expected or '')}")
-    console.print(f"  received  {escape(result.received or '')}")
+    console.print(f"  expected  {escape(visible(result.expected or ''))}")
+    console.print(f"  received  {escape(visible(result.received or ''))}")
     console.print(f"  clause    {result.case.clause} ({result.case.level}): {escape(result.clause)}")
     ends = [f"{wire} {ending}" for wire, ending in result.endings.items() if ending != "open"]
     if ends:

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 from nmes.conformance.runner import Report, Result, Verdict, suite_hash
 from nmes.conformance.wire import Entry
+from nmes.errors import visible
 from nmes.protocol import PROTOCOL_VERSION
 
 __all__ = ["describe", "readable", "to_html", "to_json", "to_junit"]
@@ -88,8 +89,8 @@ def describe(result: Result) -> str:
     """Returns a case's failure as text: expected, received, clause, and the log of its connections."""
     lines = [f"{result.verdict}: {result.case.number} {result.case.title}"]
     if result.verdict is Verdict.FAULT:
-        return "\n".join([*lines, result.reason or ""])
-    lines += [f"expected: {result.expected}", f"received: {result.received}"]
+        return "\n".join([*lines, visible(result.reason or "", keep="\n")])
+    lines += [f"expected: {visible(result.expected or '')}", f"received: {visible(result.received or '')}"]
     lines.append(f"clause: {result.case.clause} ({result.case.level}): {result.clause}")
     return "\n".join([*lines, *_lines(result.log)])
 

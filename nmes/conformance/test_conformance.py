@@ -13,6 +13,7 @@ import pytest
 
 from nmes.conformance import CASES, Case, Options, Result, Target, Verdict, run
 from nmes.conformance.report import describe
+from nmes.errors import visible
 
 
 @pytest.fixture(scope="session")
@@ -45,8 +46,8 @@ def test_case(case: Case, results: Mapping[str, Result]) -> None:
     """A server does what a case's title says."""
     result = results[case.number]
     if result.verdict in (Verdict.SKIPPED, Verdict.UNIMPLEMENTED):
-        pytest.skip(f"{result.verdict}: {result.reason}")
+        pytest.skip(visible(f"{result.verdict}: {result.reason}"))
     if result.verdict is Verdict.NON_STRICT:
-        pytest.xfail(f"not strict: expected {result.expected}, received {result.received}")
+        pytest.xfail(visible(f"not strict: expected {result.expected}, received {result.received}"))
     if result.verdict is not Verdict.OK:
         pytest.fail(describe(result), pytrace=False)

@@ -16,6 +16,7 @@ from click.testing import Result as Outcome
 from hostile_servers import ANSWERS, WELCOME, Answer, answering, listening
 from nmes.cli import main
 from nmes.conformance import Options, Report, Target, Verdict, run
+from nmes.conformance.report import describe
 from nmes.protocol import DELIMITER
 from servers import PASSWORD, PATIENCE
 
@@ -119,3 +120,18 @@ def test_what_is_nested_too_deep_or_beyond_all_numbers_is_no_strict_json(value: 
             assert "strict JSON" in report["trouble"]
         else:
             assert (outcome.exit_code, result["verdict"], result["cause"]) == (1, "failed", "no strict JSON")
+
+
+# -- words for the terminal -------------------------------------------------------------------------------------------
+
+
+def test_what_a_server_says_does_not_command_the_terminal() -> None:
+    def answer(said: dict[str, Any]) -> Answer | None:
+        return [b"\x1b[2J\x1b[32mconforms\n\xe2\x80\xae" + DELIMITER] if said["type"] == "ping" else None
+
+    with answering(answer) as port:
+        outcome = conform(f"127.0.0.1:{port}", "--only", "5.1")
+        (result,) = judge(port, "5.1").results
+    for text in (outcome.output, describe(result)):
+        assert r"\x1b[2J\x1b[32mconforms\n\u202e" in text
+        assert not {"\x1b", "\u202e"} & set(text)
