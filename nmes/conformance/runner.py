@@ -250,7 +250,7 @@ def _play_all(
                 take(job(case))
             for case in by_scope[Scope.WORLD]:
                 if halt.reason is None:
-                    _release(target, probe)
+                    _set_going(target, probe)
                 take(job(case))
         finally:
             if by_scope[Scope.TIME] or by_scope[Scope.WORLD]:
@@ -376,22 +376,32 @@ def _refuses(target: Target, log: Log, halt: Halt) -> bool:
 
 def _stop_time(target: Target, probe: Probe) -> None:
     """Makes the world stand still between steps, where the suite can; a case will tell if it does not."""
-    if probe.stepping and probe.mode != "lockstep":
+    if not probe.stepping:
+        if probe.info.get("paused") is True:
+            _set_going(target, probe)
+    elif probe.mode != "lockstep":
         if {"pause", "resume"} <= probe.capabilities:
             _set_time(target, {"type": "pause"})
         else:
             _set_time(target, {"type": "set_mode", "mode": "lockstep"})
 
 
-def _release(target: Target, probe: Probe) -> None:
-    """Restores the world's mode, rate and pause."""
+def _set_going(target: Target, probe: Probe) -> None:
+    """Restores the world's mode and rate, and lets it run, though it was found paused: cases expect that."""
     if "set_mode" in probe.capabilities:
         rate = probe.info.get("rate", 1)
         _set_time(
             target, {"type": "set_mode", "mode": probe.mode, "rate": rate if isinstance(rate, (int, float)) else 1}
         )
-    if "pause" in probe.capabilities:
-        _set_time(target, {"type": "pause" if probe.info.get("paused") is True else "resume"})
+    if "resume" in probe.capabilities:
+        _set_time(target, {"type": "resume"})
+
+
+def _release(target: Target, probe: Probe) -> None:
+    """Restores the world's mode, rate and pause."""
+    _set_going(target, probe)
+    if "pause" in probe.capabilities and probe.info.get("paused") is True:
+        _set_time(target, {"type": "pause"})
 
 
 def _set_time(target: Target, command: dict[str, Any]) -> None:

@@ -78,6 +78,16 @@ def test_our_server_conforms(backend: str, mode: str) -> None:
         assert server.call(lambda: (server.hosted.world.mode, server.hosted.world.paused)) == (mode, False)
 
 
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+def test_a_world_that_is_found_paused_conforms_and_is_left_paused(mode: str) -> None:
+    with served({"mode": mode}) as server:
+        with server.client() as client:
+            client.pause()
+        report = judge(server, "10.*", "11.1")
+        assert bad(report) == [] and report.exit_status == 0
+        assert server.call(lambda: (server.hosted.world.mode, server.hosted.world.paused)) == (mode, True)
+
+
 # -- servers that are none --------------------------------------------------------------------------------------------
 
 
