@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
@@ -16,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from nmes.cli._address import split_address
+from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
 from nmes.cli._options import FiniteRange
 from nmes.cli._output import whole_file
@@ -121,7 +123,7 @@ def command(
     should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.
 
     Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage, the suite's own fault, a report that cannot be
-    written, or a time limit that was over before anything failed.
+    written, an interruption (Ctrl-C, SIGTERM), or a time limit that was over before anything failed.
 
     For example:
 
@@ -146,13 +148,17 @@ def command(
         return
     target = _target(address, password, password_file, timeout)
     try:
-        if script is not None:
-            sys.exit(_replay(target, _load(script)))
-        files = {path: form for path, form in ((page, to_html), (junit, to_junit)) if path is not None}
-        sys.exit(_judge(target, options, len(cases), files, as_json))
+        with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
+            if script is not None:
+                sys.exit(_replay(target, _load(script)))
+            files = {path: form for path, form in ((page, to_html), (junit, to_junit)) if path is not None}
+            sys.exit(_judge(target, options, len(cases), files, as_json, interrupted))
     except NmesError as error:
         click.echo(f"Error: {visible(error.message)}", err=True)
         sys.exit(2)
+    except KeyboardInterrupt:
+        click.echo("Error: interrupted before all was judged", err=True)
+        sys.exit(2)  # 1 would say that the server does not conform
 
 
 def _target(
@@ -189,14 +195,19 @@ def _list(cases: Any, as_json: bool) -> None:
 
 
 def _judge(
-    target: Target, options: Options, count: int, files: Mapping[Path, Callable[[Report], str]], as_json: bool
+    target: Target,
+    options: Options,
+    count: int,
+    files: Mapping[Path, Callable[[Report], str]],
+    as_json: bool,
+    interrupted: Callable[[], bool],
 ) -> int:
     """Runs cases, prints the report, writes it to files, each in its form, and returns the exit status."""
     report = failure = None
     try:
         with ExitStack() as opened:
             unfinished = [(opened.enter_context(whole_file(path)), form) for path, form in files.items()]
-            report = _run(target, options, count)
+            report = _run(target, options, count, interrupted)
             for path, form in unfinished:
                 path.write_text(form(report), "utf-8")
     except click.ClickException as error:
@@ -213,7 +224,7 @@ def _judge(
     return report.exit_status
 
 
-def _run(target: Target, options: Options, count: int) -> Report:
+def _run(target: Target, options: Options, count: int, interrupted: Callable[[], bool]) -> Report:
     errors = Console(stderr=True)
     progress = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=errors
@@ -226,6 +237,8 @@ def _run(target: Target, options: Options, count: int) -> Report:
         failures += result.verdict in (Verdict.FAILED, Verdict.FAULT)
         description = f"[red]{failures} failed[/]" if failures else "judging"
         progress.update(task, advance=1, description=description)
+        if interrupted():  # and the exception was lost
+            raise KeyboardInterrupt
 
     with progress if errors.is_terminal else nullcontext():
         return run(target, options, take)

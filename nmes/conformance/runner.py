@@ -238,7 +238,7 @@ def _play_all(
             playable.append(case)
     by_scope = {scope: [case for case in playable if case.scope is scope] for scope in Scope}
     pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="case")
-    with pool:
+    with pool, _halting(halt):
         together = sorted(by_scope[Scope.CONNECTION], key=lambda case: -case.wait)
         pending = {pool.submit(job, case): case for case in together}
         # Those that only wait for a time-out, and touch nothing, go on beside the cases that follow.
@@ -269,7 +269,7 @@ def _lacking(probe: Probe, case: Case) -> str:
 
 @contextmanager
 def _time_limit(halt: Halt, seconds: float | None, began: float) -> Iterator[None]:
-    """Ends the run when its time is over, and where its block is left early, as on Ctrl-C."""
+    """Ends the run when its time is over."""
     timer = None
     if seconds is not None:
         left = max(0.0, began + seconds - time.monotonic())
@@ -278,12 +278,19 @@ def _time_limit(halt: Halt, seconds: float | None, began: float) -> Iterator[Non
         timer.start()
     try:
         yield
-    except BaseException:
-        halt.now("the run was interrupted")
-        raise
     finally:
         if timer is not None:
             timer.cancel()
+
+
+@contextmanager
+def _halting(halt: Halt) -> Iterator[None]:
+    """Ends the run where its block is left early, as on Ctrl-C, so that nobody waits for cases under way."""
+    try:
+        yield
+    except BaseException:
+        halt.now("the run was interrupted")
+        raise
 
 
 def replay(target: Target, script: Script) -> Result:
@@ -418,9 +425,24 @@ def _set_time(target: Target, command: dict[str, Any]) -> None:
 
 def play(target: Target, probe: Probe, case: Case, plot: int, seed: int, halt: Halt) -> Result:
     """Plays one case, unless the run was ended."""
-    result = Result(case)
     trial = Trial(target, probe, case, plot, seed, halt)
     began = time.monotonic()
+    try:
+        result = _judged(trial)
+    finally:  # also where it is interrupted
+        endings = trial.close_all()
+        trial.clean_up()
+    result.endings = endings
+    result.seconds = time.monotonic() - began
+    result.log = trial.log.entries
+    result.script = trial.script
+    return result
+
+
+def _judged(trial: Trial) -> Result:
+    """Plays a case to its end, whatever that is, and returns the verdict, without what it left behind."""
+    case = trial.case
+    result = Result(case)
     try:
         trial.sleep(0)
         case.run(trial)
@@ -429,8 +451,8 @@ def play(target: Target, probe: Probe, case: Case, plot: int, seed: int, halt: H
             result.verdict = Verdict.NON_STRICT
             result.expected = "; ".join(remark.expected for remark in trial.remarks)
             result.received = "; ".join(remark.received for remark in trial.remarks)
-    except NotTried as reason:
-        result.verdict, result.reason = Verdict.SKIPPED, str(reason)
+    except NotTried as why:
+        result.verdict, result.reason = Verdict.SKIPPED, str(why)
     except Unimplemented as lack:
         result.verdict, result.reason = Verdict.UNIMPLEMENTED, str(lack)
     except Finding as finding:
@@ -441,11 +463,7 @@ def play(target: Target, probe: Probe, case: Case, plot: int, seed: int, halt: H
         # Not the server's fault, whatever it sent: the report shows it, and the run ends with status 2.
         result.verdict, result.reason = Verdict.FAULT, traceback.format_exc()
         result.cause = f"a fault of the suite: {type(error).__name__}"
-    if halt.reason is not None and result.verdict in (Verdict.FAILED, Verdict.NON_STRICT, Verdict.FAULT):
-        result = Result(case, Verdict.SKIPPED, reason=halt.reason)
-    result.endings = trial.close_all()
-    trial.clean_up()
-    result.seconds = time.monotonic() - began
-    result.log = trial.log.entries
-    result.script = trial.script
+    reason = trial.halt.reason
+    if reason is not None and result.verdict in (Verdict.FAILED, Verdict.NON_STRICT, Verdict.FAULT):
+        result = Result(case, Verdict.SKIPPED, reason=reason)
     return result

@@ -8,9 +8,11 @@ import os
 import random
 import re
 import secrets
+import signal
 import socket
 import subprocess
 import sys
+import threading
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -306,6 +308,34 @@ def test_a_time_limit_ends_a_run_against_a_silent_server() -> None:
     assert report.halted == "the time limit of 2 s was over"
     assert report.exit_status == 1 and report.counts[Verdict.FAILED] > 0
     assert report.counts[Verdict.SKIPPED] > 500
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_the_world_as_it_was(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    reply, started = Session.reply, threading.Event()
+    processes: list[subprocess.Popen[str]] = []
+
+    def interrupt(session: Session, request: Request, encoded: bytes) -> bytes:
+        if request.type != "step":
+            return reply(session, request, encoded)
+        started.wait()
+        processes[0].send_signal(number)
+        return b""
+
+    monkeypatch.setattr(Session, "reply", interrupt)
+    with served({"mode": "realtime"}) as server:
+        arguments = [f"127.0.0.1:{server.port}", "--only", "11.6", "--timeout", "300"]
+        with subprocess.Popen(
+            [sys.executable, "-m", "nmes", "conform", *arguments],
+            env={**os.environ, "NMES_PASSWORD": PASSWORD}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        ) as process:  # fmt: skip
+            processes.append(process)
+            started.set()
+            output, errors = process.communicate(timeout=PATIENCE * 4)
+        assert (process.returncode, output) == (2, "")
+        assert errors == "Error: interrupted before all was judged\n"
+        assert server.call(server.hosted.world.cubes) == []
+        assert server.call(lambda: (server.hosted.world.mode, server.hosted.world.paused)) == ("realtime", False)
 
 
 # -- the command line -------------------------------------------------------------------------------------------------
