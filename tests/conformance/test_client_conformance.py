@@ -205,6 +205,35 @@ def test_a_driver_that_does_not_obey_is_a_failure_and_no_traceback(program: str,
     assert received in row["received"]
 
 
+HOSTILE = """
+import json, socket, sys, time
+opening = json.loads(sys.stdin.readline())
+connection = socket.create_connection((opening["host"], opening["port"]))
+delimiter = b"<???DONE???---"
+connection.sendall(json.dumps({"type": "auth", "password": opening["password"]}).encode() + delimiter)
+welcome = b""
+while delimiter not in welcome:
+    welcome += connection.recv(4096)
+answer = json.loads(welcome.split(delimiter)[0])
+print(json.dumps({"error" if answer["type"] == "error" else "opened": answer}), flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("case", "then", "expected"),
+    [
+        ("5.8", "time.sleep(60)", "a driver that reads pipeline, in time"),
+        ("3.1", "while True: connection.sendall(delimiter * 5000)", "the command ping in time"),
+        ("1.4", "while True: connection.sendall(b'x' * 65536)", "the end of the connection"),
+    ],
+)
+def test_a_client_or_driver_without_end_is_a_failure_after_one_time_out(case: str, then: str, expected: str) -> None:
+    result = run("--only", case, "--timeout", "0.5", "--json", sys.executable, "-S", "-c", HOSTILE + then)
+    assert result.exit_code == 1, result.output
+    (row,) = json.loads(result.stdout)["results"]
+    assert row["expected"].startswith(expected)
+
+
 def test_what_a_client_cannot_do_is_skipped() -> None:
     program = "import sys, json\nfor line in sys.stdin: print(json.dumps({'unsupported': 'all'}), flush=True)"
     result = run("--only", "5.1", sys.executable, "-S", "-c", program)

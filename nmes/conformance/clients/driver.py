@@ -46,6 +46,7 @@ class Driver:
             raise NoDriver("unreachable", f"cannot start {command[0]}: {error.strerror}") from error
         assert self._process.stdin is not None and self._process.stdout is not None
         self._in, self._out = self._process.stdin, self._process.stdout
+        os.set_blocking(self._in.fileno(), False)  # it takes what there is room for
         self._buffer = bytearray()
         self._scanned = 0  # no line ends before this
 
@@ -64,19 +65,24 @@ class Driver:
         self._process.kill()
         self._process.wait()
 
-    def tell(self, log: Log, instruction: Mapping[str, Any]) -> None:
+    def tell(self, log: Log, timeout: float, instruction: Mapping[str, Any]) -> None:
         """Writes an instruction.
 
         Raises:
-            Finding: The program has ended.
+            Finding: The program has ended, or does not read it in time.
         """
-        line = json.dumps(instruction).encode() + b"\n"
-        log.add("driver", "sent", line[:_SHOWN])
-        try:
-            self._in.write(line)
-            self._in.flush()
-        except OSError:
-            raise self._ended(instruction["do"]) from None
+        until = time.monotonic() + timeout
+        what = instruction["do"]
+        unsent = memoryview(json.dumps(instruction).encode() + b"\n")
+        log.add("driver", "sent", bytes(unsent[:_SHOWN]))
+        while unsent:
+            left = max(until - time.monotonic(), 0.0)
+            if not select.select([], [self._in], [], left)[1]:
+                raise Finding(f"a driver that reads {what}, in time", "it does not", "a driver that does not read")
+            try:
+                unsent = unsent[os.write(self._in.fileno(), unsent) :]
+            except OSError:
+                raise self._ended(what) from None
 
     def hear(self, log: Log, timeout: float, what: str) -> dict[str, Any]:
         """Returns the answer to an instruction.

@@ -30,6 +30,7 @@ _WELCOME = {
 }  # fmt: skip
 _READ = 64 << 10
 _FRAME_LIMIT = 1 << 20  # bytes: what a server accepts
+_REST_LIMIT = 64 << 20  # bytes: a client that sends more before it hangs up will not hang up
 _SHOWN = 4096  # bytes of one entry that the log keeps
 
 
@@ -93,17 +94,22 @@ class Peer:
         """Waits until the client hangs up; returns what it sent before.
 
         Raises:
-            Finding: It does not hang up in time.
+            Finding: It does not hang up in time, or sends without end.
         """
         until, rest = time.monotonic() + self._timeout, bytearray(b"".join(reversed(self._frames)))
         while data := self._receive(until, "the end of the connection"):
             rest += data
+            if len(rest) > _REST_LIMIT:
+                raise Finding("the end of the connection", f"over {_REST_LIMIT:,} bytes", "a client that sends on")
         return bytes(rest)
 
     def _receive(self, until: float, what: str) -> bytes:
         """Reads once; empty at the end of the connection."""
-        self._socket.settimeout(max(until - time.monotonic(), 0.001))
+        left = until - time.monotonic()
         try:
+            if left <= 0:
+                raise TimeoutError
+            self._socket.settimeout(left)
             data = self._socket.recv(_READ)
         except TimeoutError:
             raise Finding(f"{what} in time", "nothing", "nothing in time") from None
@@ -174,7 +180,7 @@ class Stage:
 
     def tell(self, do: str, **fields: Any) -> None:
         """Gives the driver an instruction."""
-        self._driver.tell(self.log, {"do": do, **fields})
+        self._driver.tell(self.log, self.timeout, {"do": do, **fields})
 
     def hear(self, what: str) -> dict[str, Any]:
         """Returns the driver's answer."""
