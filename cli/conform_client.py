@@ -130,7 +130,7 @@ def _row(result: ClientResult) -> dict[str, object]:
         "received": result.received,
         "reason": result.reason,
         "log": [
-            {"at": round(entry.at, 6), "wire": entry.wire, "kind": entry.kind, "data": readable(entry.data)}
+            {"at": round(entry.at, 6), "wire": entry.wire, "kind": entry.kind, "data": readable(entry)}
             for entry in result.log
         ]
         if told
@@ -151,7 +151,7 @@ def _print(results: list[ClientResult], status: int) -> None:
             console.print(f"  clause    {case.clause}: {escape(sentence(case.clause))}")
             for entry in result.log[-_LINES:]:
                 arrow = {"sent": "->", "received": "<-"}.get(entry.kind, "--")
-                shown = readable(entry.data)
+                shown = readable(entry)
                 shown = shown if len(shown) <= _WIDTH else f"{shown[:_WIDTH]}..."
                 console.print(f"  {entry.at:8.4f} {entry.wire} {arrow} {escape(shown)}", style="dim")
     counts = ", ".join(

@@ -13,7 +13,7 @@ from importlib.metadata import version
 from typing import Any
 from xml.etree import ElementTree
 
-from nmes.conformance.runner import Report, Result, Verdict, suite_hash
+from nmes.conformance.runner import TOLD, Report, Result, Verdict, suite_hash
 from nmes.conformance.wire import Entry
 from nmes.errors import visible
 from nmes.protocol import PROTOCOL_VERSION
@@ -21,7 +21,6 @@ from nmes.protocol import PROTOCOL_VERSION
 __all__ = ["describe", "readable", "to_html", "to_json", "to_junit"]
 
 BAD = frozenset({Verdict.FAILED, Verdict.FAULT})
-SHOWN = 4096  # bytes of one entry of a log that the reports hold; longer ones are cut in the middle
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -44,14 +43,11 @@ def to_json(report: Report) -> dict[str, Any]:
                 "endings": result.endings,
                 "script": result.script,
                 "seconds": round(result.seconds, 4),
-                "log": [_entry(entry) for entry in result.log] if result.verdict in _TOLD else [],
+                "log": [_entry(entry) for entry in result.log],
             }
             for result in report.results
         ],
     }
-
-
-_TOLD = frozenset({Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT})
 
 
 def _head(report: Report) -> dict[str, Any]:
@@ -73,16 +69,19 @@ def _head(report: Report) -> dict[str, Any]:
 
 
 def _entry(entry: Entry) -> dict[str, Any]:
-    return {"at": round(entry.at, 6), "wire": entry.wire, "kind": entry.kind, "data": readable(entry.data)}
+    return {"at": round(entry.at, 6), "wire": entry.wire, "kind": entry.kind, "data": readable(entry)}
 
 
-def readable(data: bytes) -> str:
-    """Returns bytes as text that shows every byte, those that cannot be printed as escapes."""
-    if len(data) > SHOWN:
-        half = SHOWN // 2
-        return f"{readable(data[:half])} ...[{len(data) - SHOWN:,} bytes left out]... {readable(data[-half:])}"
-    text = data.decode("utf-8", "backslashreplace")
-    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+def readable(entry: Entry) -> str:
+    """Returns an entry's bytes as text that shows every byte, those that cannot be printed as escapes."""
+    if entry.left_out:
+        half = len(entry.data) // 2
+        return f"{_text(entry.data[:half])} ...[{entry.left_out:,} bytes left out]... {_text(entry.data[half:])}"
+    return _text(entry.data)
+
+
+def _text(data: bytes) -> str:
+    return visible(data.decode("utf-8", "backslashreplace"))
 
 
 def describe(result: Result) -> str:
@@ -140,7 +139,7 @@ def _xml(text: str) -> str:
 def _lines(log: Iterable[Entry]) -> Iterator[str]:
     arrows = {"sent": "->", "received": "<-", "note": "--"}
     for entry in log:
-        yield f"{entry.at:9.4f} {entry.wire} {arrows[entry.kind]} {readable(entry.data)}"
+        yield f"{entry.at:9.4f} {entry.wire} {arrows[entry.kind]} {readable(entry)}"
 
 
 def _by_category(results: Iterable[Result]) -> list[tuple[str, list[Result]]]:
@@ -225,8 +224,8 @@ def _matrix(report: Report) -> str:
             f"<td class='n'>{sum(result.verdict is verdict for result in results) or ''}" for verdict in Verdict
         )
         cells = "".join(
-            f"<{'a href=' + repr('#c' + _e(r.case.number)) if r.verdict in _TOLD else 'span'} class='{r.verdict}' "
-            f"title='{_e(r.case.number)} {_e(r.case.title)}: {r.verdict}'></{'a' if r.verdict in _TOLD else 'span'}>"
+            f"<{'a href=' + repr('#c' + _e(r.case.number)) if r.verdict in TOLD else 'span'} class='{r.verdict}' "
+            f"title='{_e(r.case.number)} {_e(r.case.title)}: {r.verdict}'></{'a' if r.verdict in TOLD else 'span'}>"
             for r in results
         )
         rows.append(f"<tr><td>{_e(category)}{numbers}<td class='cells'>{cells}")

@@ -59,6 +59,9 @@ class Verdict(StrEnum):
     FAULT = "fault"
 
 
+TOLD = frozenset({Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT})  # verdicts whose logs are kept and reported
+
+
 @dataclass(frozen=True, slots=True)
 class Options:
     """The choice of cases to run, and the seed.
@@ -90,7 +93,7 @@ class Result:
         cause: Where the verdict is failed or fault: what other cases may have failed of too.
         reason: Why it was skipped or is unimplemented; the traceback of a fault.
         endings: How each of its connections ended, by their names in the log.
-        log: All that went over its wires.
+        log: What went over its wires, where it is not as it should be.
         script: The shortest conversation that shows the failure, where a search has found one.
         seconds: How long it took.
     """
@@ -434,7 +437,7 @@ def play(target: Target, probe: Probe, case: Case, plot: int, seed: int, halt: H
         trial.clean_up()
     result.endings = endings
     result.seconds = time.monotonic() - began
-    result.log = trial.log.entries
+    result.log = trial.log.entries if result.verdict in TOLD else []
     result.script = trial.script
     return result
 

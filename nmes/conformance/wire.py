@@ -1,7 +1,7 @@
-"""One connection to a server under test, as the suite sees it: bytes both ways, all of them kept, nothing assumed.
+"""One connection to a server under test, as the suite sees it: bytes both ways, written down, nothing assumed.
 
 It hides sockets. A `Wire` sends what it is told, valid or not, and cuts what comes into frames; `Log` keeps both
-directions byte for byte with times. Invariants: no call waits for longer than the time-out it was given; what the
+directions with times, of long pieces the two ends. Invariants: no call waits for longer than the time-out it was given; what the
 server does wrong (silence, hanging up, JSON that is none) is a `Finding`, never another exception; every message that
 `hear` returns is strict JSON and as its schema says.
 """
@@ -28,6 +28,7 @@ __all__ = ["Entry", "Log", "Message", "Wire", "clip", "frame_of", "is_event", "r
 READ = 64 << 10
 SHOWN = 300  # characters of what was received that a finding repeats
 NO_ID = "a reply without its id"  # a cause that cases find in several ways
+KEPT = 4096  # bytes of one entry of a log that are kept
 FRAME_LIMIT = 64 << 20  # a server that sends more without a delimiter will not send one
 
 
@@ -39,13 +40,15 @@ class Entry:
         at: Seconds since the case began.
         wire: Which connection of the case.
         kind: `sent`, `received` or `note`.
-        data: The bytes, or the note.
+        data: The bytes, or the note; of long ones the beginning and the end, as much of the one as of the other.
+        left_out: How many bytes there were between the two.
     """
 
     at: float
     wire: str
     kind: str
     data: bytes
+    left_out: int = 0
 
 
 @dataclass(slots=True)
@@ -57,7 +60,9 @@ class Log:
 
     def add(self, wire: str, kind: str, data: bytes) -> None:
         """Adds an entry of this moment."""
-        self.entries.append(Entry(time.monotonic() - self.began, wire, kind, data))
+        left_out = max(len(data) - KEPT, 0)
+        kept = data[: KEPT // 2] + data[-KEPT // 2 :] if left_out else data
+        self.entries.append(Entry(time.monotonic() - self.began, wire, kind, kept, left_out))
 
 
 class Message(dict[str, Any]):

@@ -135,3 +135,19 @@ def test_what_a_server_says_does_not_command_the_terminal() -> None:
     for text in (outcome.output, describe(result)):
         assert r"\x1b[2J\x1b[32mconforms\n\u202e" in text
         assert not {"\x1b", "\u202e"} & set(text)
+
+
+# -- more than anybody wants to keep ----------------------------------------------------------------------------------
+
+
+def test_of_long_answers_the_ends_are_kept_and_of_good_ones_nothing() -> None:
+    pad = "x" * (2 << 20)
+    for kind, verdict in (("pong", Verdict.OK), ("pang", Verdict.FAILED)):
+        sent = {"type": kind, "pad": pad}
+        with answering(lambda said, sent=sent: sent if said["type"] == "ping" else None) as port:
+            report = judge(port, "1.1", timeout=PATIENCE)
+        (result,) = report.results
+        assert result.verdict is verdict
+        assert (verdict is Verdict.OK) == (result.log == [])
+        assert sum(len(entry.data) for entry in result.log) < len(pad) / 2
+    assert "bytes left out]... " in describe(result)

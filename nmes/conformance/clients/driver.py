@@ -24,7 +24,6 @@ __all__ = ["Driver", "NoDriver"]
 _READ = 64 << 10
 _PATIENCE = 2.0  # s in which a program that is told to end must end
 _ANSWER_LIMIT = 64 << 20  # bytes of one answer
-_SHOWN = 4096  # bytes of one line that the log keeps
 
 
 class NoDriver(NmesError):
@@ -74,7 +73,7 @@ class Driver:
         until = time.monotonic() + timeout
         what = instruction["do"]
         unsent = memoryview(json.dumps(instruction).encode() + b"\n")
-        log.add("driver", "sent", bytes(unsent[:_SHOWN]))
+        log.add("driver", "sent", bytes(unsent))
         while unsent:
             left = max(until - time.monotonic(), 0.0)
             if not select.select([], [self._in], [], left)[1]:
@@ -92,7 +91,7 @@ class Driver:
             NotTried: The client cannot do that.
         """
         line = self._line(time.monotonic() + timeout, what)
-        log.add("driver", "received", line[:_SHOWN])
+        log.add("driver", "received", line)
         try:
             answer = json.loads(line)
         except (ValueError, RecursionError):

@@ -31,7 +31,6 @@ _WELCOME = {
 _READ = 64 << 10
 _FRAME_LIMIT = 1 << 20  # bytes: what a server accepts
 _REST_LIMIT = 64 << 20  # bytes: a client that sends more before it hangs up will not hang up
-_SHOWN = 4096  # bytes of one entry that the log keeps
 
 
 def frame(message: Mapping[str, Any]) -> bytes:
@@ -115,7 +114,7 @@ class Peer:
             raise Finding(f"{what} in time", "nothing", "nothing in time") from None
         except OSError:  # reset by the client, which is an end too
             data = b""
-        self._log.add(self._name, "received", data[:_SHOWN])
+        self._log.add(self._name, "received", data)
         return data
 
     # -- out -------------------------------------------------------------------------------------------------------
@@ -126,7 +125,7 @@ class Peer:
         Raises:
             Finding: The client does not read them, or has hung up.
         """
-        self._log.add(self._name, "sent", data[:_SHOWN])
+        self._log.add(self._name, "sent", data)
         self._socket.settimeout(self._timeout)
         try:
             self._socket.sendall(data)
