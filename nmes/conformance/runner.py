@@ -145,7 +145,7 @@ class Report:
     def exit_status(self) -> int:
         """0 conforming, 1 not, 2 where the suite has failed, was ended early, or found nothing that it could run."""
         counts = self.counts
-        if counts[Verdict.FAULT] or len(self.results) == counts[Verdict.SKIPPED]:
+        if counts[Verdict.FAULT] or len(self.results) == counts[Verdict.SKIPPED] + counts[Verdict.UNIMPLEMENTED]:
             return 2
         if counts[Verdict.FAILED]:
             return 1

@@ -1,9 +1,9 @@
 """One connection to a server under test, as the suite sees it: bytes both ways, written down, nothing assumed.
 
 It hides sockets. A `Wire` sends what it is told, valid or not, and cuts what comes into frames; `Log` keeps both
-directions with times, of long pieces the two ends. Invariants: no call waits for longer than the time-out it was given; what the
-server does wrong (silence, hanging up, JSON that is none) is a `Finding`, never another exception; every message that
-`hear` returns is strict JSON and as its schema says.
+directions with times, of long pieces the two ends. Invariants: no call waits for longer than the time-out it was given;
+what the server does wrong (silence, hanging up, JSON that is none) is a `Finding`, never another exception; every
+message that `hear` returns is strict JSON and as its schema says.
 """
 
 from __future__ import annotations

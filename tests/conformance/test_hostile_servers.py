@@ -151,3 +151,13 @@ def test_of_long_answers_the_ends_are_kept_and_of_good_ones_nothing() -> None:
         assert (verdict is Verdict.OK) == (result.log == [])
         assert sum(len(entry.data) for entry in result.log) < len(pad) / 2
     assert "bytes left out]... " in describe(result)
+
+
+# -- nothing to judge -------------------------------------------------------------------------------------------------
+
+
+def test_a_server_that_leaves_out_all_that_is_asked_for_was_not_judged() -> None:
+    with answering(lambda said: None) as port:
+        outcome = conform(f"127.0.0.1:{port}", "--only", "16.1:get_planets", "--json")
+    assert [result["verdict"] for result in json.loads(outcome.stdout)["results"]] == ["unimplemented"]
+    assert outcome.exit_code == 2
