@@ -245,6 +245,9 @@ func (w *World) execute(c *client, given map[string]any) (answer reply, wrong *f
 		return nil, invalid("type", "expected a string"), false
 	}
 	todo, known := commands[kind]
+	if theirs, there := originals[kind]; there && c.raw {
+		todo = theirs
+	}
 	if silent, there := unsupported[kind]; !known && there {
 		return nil, &failure{code: "unsupported", message: "this server does not have " + kind}, silent
 	}
@@ -485,33 +488,47 @@ func (j *joint) check(path string) *failure {
 }
 
 func (w *World) setJointParam(_ *client, given map[string]any) (reply, *failure) {
-	key := given["param_name"].(string)
-	fits, isMotor := motorFields[key]
-	if !isMotor {
-		fits = springFields[key]
-	}
-	if wrong := fits(given["value"], "value"); wrong != nil {
+	key, value := given["param_name"].(string), given["value"]
+	if wrong := w.setParams(given["joint_name"], map[string]any{key: value}); wrong != nil {
 		return nil, wrong
 	}
+	if n, isNumber := value.(number); isNumber {
+		value = n.value
+	}
+	return reply{"type": "joint_param_set", "joint_name": given["joint_name"], "param_name": key, "value": value}, nil
+}
+
+// setParams sets parameters of a joint, all of them or none.
+func (w *World) setParams(called any, params map[string]any) *failure {
+	for key, value := range params {
+		fits, isMotor := motorFields[key]
+		if !isMotor {
+			fits = springFields[key]
+		}
+		if fits == nil {
+			return invalid("param_name", "there is no such parameter")
+		}
+		if wrong := fits(value, "value"); wrong != nil {
+			return wrong
+		}
+	}
 	for _, j := range w.joints {
-		if j.name != given["joint_name"] {
+		if j.name != called {
 			continue
 		}
 		changed := *j.joint
-		if wrong := changed.set(key, given["value"], "param_name"); wrong != nil {
-			return nil, wrong
+		for key, value := range params {
+			if wrong := changed.set(key, value, "param_name"); wrong != nil {
+				return wrong
+			}
 		}
 		if wrong := changed.check("value"); wrong != nil {
-			return nil, wrong
+			return wrong
 		}
 		*j.joint = changed
-		value := given["value"]
-		if n, isNumber := value.(number); isNumber {
-			value = n.value
-		}
-		return reply{"type": "joint_param_set", "joint_name": j.name, "param_name": key, "value": value}, nil
+		return nil
 	}
-	return nil, &failure{"joint_not_found", "there is no such joint", "joint_name"}
+	return &failure{"joint_not_found", "there is no such joint", "joint_name"}
 }
 
 func (w *World) applyPhysics(c *client, given map[string]any) (reply, *failure) {

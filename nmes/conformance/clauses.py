@@ -48,6 +48,18 @@ _PROSE: Final[Mapping[str, str]] = {
     "2.4.3": "One failed auth costs the peer 1 s before the answer.",
     "2.4.4": "A frame that is no JSON object has no type by which to tell that silence is due: it gets an "
     "`error` in both dialects.",
+    "2.5.1": "`apply_force` with a `force` | `apply_physics` with that `impulse`: the velocity changes at once by "
+    "force / mass",
+    "2.5.2": "`apply_physics` with a `central_impulse` | `impulse`",
+    "2.5.3": "`create_joint` without `joint_name` | the name `joint_<type>_<cube1>_<cube2>`, the type and the cubes as "
+    "the client calls them",
+    "2.5.4": "`create_joint`, `create_bone` with a name that is taken | another joint, whose name has a number behind "
+    "it: `hip_2`, `hip_3`.",
+    "2.5.5": "`set_joint_param`, `set_joint_params` | likewise; both are answered by `joint_param_set`, which repeats "
+    "`param_name` and `value`, or `params`",
+    "2.5.6": "`get_joint_info` | `params` in the original's words, numbers all: 1.0 for true, 0.0 for false",
+    "2.5.7": '`set_color` with `hex`: `"#FFFF00"`, with opacity `"#FFFF00FF"` | `color`',
+    "2.5.8": "without effect: kept as the joint's `notes`, and told back by `get_joint_info`",
     "3.1.1": "SI units: metres, kilograms, seconds, newtons, radians.",
     "3.1.2": "Right-handed, **Y up**, gravity (0, -9.81, 0) on the flat ground `y = 0`.",
     "3.1.3": "Vectors are arrays of 3 numbers, also in a planar world (where z, and rotation about x and y, "

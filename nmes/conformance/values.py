@@ -53,19 +53,27 @@ def wrong(part: Schema) -> list[Any]:
     validator = jsonschema_rs.Draft202012Validator(part)
     candidates: list[Any] = [None, True, 7, 1.5, "", "no such thing", "a" * 129, [], {}, [[]], {"a": 1}]
     for choice in (part, *part.get("anyOf", ())):
-        low, high = choice.get("minimum"), choice.get("maximum")
-        candidates += [low - max(abs(low), 1) * 0.01 - 1 if low is not None else None, -_HUGE, _HUGE]
-        candidates += [high + max(abs(high), 1) * 0.01 + 1 if high is not None else None]
+        candidates += [*_beyond(choice), -_HUGE, _HUGE]
         items = choice.get("items", {})
         if items.get("type") == "number":
             good = [1.0] * choice.get("minItems", 1)
             candidates += [good[:-1], [*good, *good, 1.0], ["1", *good[1:]], [*good[:-1], None], [*good[:-1], [1.0]]]
-            candidates += [[*good[:-1], sign * _HUGE] for sign in (1, -1)]
+            candidates += [[*good[:-1], value] for value in (*_beyond(items), _HUGE, -_HUGE)]
             candidates.append([0.0] * len(good))
         elif items:
             candidates += [[None], [7], [""], [{}], [[]], ["tick", "tick"], ["no such thing", 7]]
     unique = {repr(value): value for value in candidates}
     return [value for value in unique.values() if not validator.is_valid(value)]
+
+
+def _beyond(part: Schema) -> list[float]:
+    """Returns the numbers just beyond the bounds of one."""
+    beyond = []
+    for bound, outwards in (("minimum", -1), ("maximum", 1)):
+        if bound in part:
+            limit = part[bound]
+            beyond.append(limit + outwards * (max(abs(limit), 1) * 0.01 + 1))
+    return beyond
 
 
 def edges(part: Schema) -> list[Any]:

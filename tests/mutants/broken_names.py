@@ -72,6 +72,23 @@ def text_for_numbers(patch: MonkeyPatch) -> None:
     _before_checks(patch, mend)
 
 
+@defect("6.1:spawn_cube.position", "6.1:apply_physics.force")
+def a_little_beyond_the_bounds(patch: MonkeyPatch) -> None:
+    """It takes numbers of vectors that are a little beyond their bounds for the bounds."""
+
+    def mend(command: JsonObject) -> JsonObject:
+        near = {name: command[name] for name in ("position", "force") if isinstance(command.get(name), list)}
+        for name, values in near.items():
+            bound = {"position": 1e6, "force": 1e15}[name]
+            near[name] = [
+                max(-bound, min(bound, value)) if type(value) is float and abs(value) < 2 * bound else value
+                for value in values
+            ]
+        return {**command, **near}
+
+    _before_checks(patch, mend)
+
+
 @defect("6.1:set_joint_param.param_name", backend="mujoco")
 def any_parameter(patch: MonkeyPatch) -> None:
     """It says that it sets parameters that there are not."""

@@ -313,6 +313,81 @@ def planets_with_a_type(patch: MonkeyPatch) -> None:
     patch.setitem(original._ANSWERS, b"planets", lambda said, reply: reply)
 
 
+@defect("3.20:1-kg", "3.20:2-kg")
+def forces_are_forces_in_the_raw_dialect(patch: MonkeyPatch) -> None:
+    """It takes apply_force in the raw dialect for a force of one tick, as in the other."""
+    patch.delitem(original._COMMANDS, "apply_force")
+
+
+@defect("3.21")
+def no_central_impulse(patch: MonkeyPatch) -> None:
+    """It does not know central_impulse."""
+    patch.delitem(original._COMMANDS, "apply_physics")
+
+
+@defect("3.22:fixed")
+def joints_are_called_by_number(patch: MonkeyPatch) -> None:
+    """It draws the names of joints in the raw dialect too."""
+    translate = original._COMMANDS["create_joint"]
+
+    def nameless(said: dict[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in translate(said).items() if name != "joint_name" or name in said}
+
+    patch.setitem(original._COMMANDS, "create_joint", nameless)
+
+
+@defect("3.23")
+def names_of_joints_are_taken(patch: MonkeyPatch) -> None:
+    """It refuses a joint of a name that is taken in the raw dialect too."""
+    translate = original._COMMANDS["create_joint"]
+
+    def strict(said: dict[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in translate(said).items() if name != "number_if_taken"}
+
+    patch.setitem(original._COMMANDS, "create_joint", strict)
+
+
+@defect("3.24:limit_enable", "3.24:motor_enable", backend="mujoco")
+def parameters_told_in_our_words(patch: MonkeyPatch) -> None:
+    """It answers that a parameter was set in the words of the other dialect."""
+    patch.delitem(original._ANSWERS, b"joint_params_set")
+
+
+@defect("3.24:motor_max_impulse", backend="mujoco")
+def impulses_of_our_engine_steps(patch: MonkeyPatch) -> None:
+    """It takes a motor's largest impulse in the raw dialect for that of one of its own engine steps."""
+    patch.setattr(original, "_RATE", 240.0)
+
+
+@defect("3.25:hinge", "3.25:conetwist", backend="mujoco")
+def joints_told_in_our_words(patch: MonkeyPatch) -> None:
+    """It tells a joint's parameters in the words of the other dialect."""
+    patch.delitem(original._ANSWERS, b"joint_info")
+
+
+@defect("3.25:slider", backend="mujoco")
+def an_endless_slider(patch: MonkeyPatch) -> None:
+    """It makes sliders without limits in the raw dialect, where none are given."""
+    patch.setitem(original._DEFAULTS, "slider", {})
+
+
+@defect("3.26:opaque", "3.26:with-opacity")
+def no_colours_in_hex(patch: MonkeyPatch) -> None:
+    """It does not know colours in hex."""
+    patch.delitem(original._COMMANDS, "set_color")
+
+
+@defect("3.27", backend="mujoco")
+def notes_forgotten(patch: MonkeyPatch) -> None:
+    """It does not tell back the parameters that have no effect."""
+    tell = original._ANSWERS[b"joint_info"]
+
+    def forget(said: dict[str, Any], reply: dict[str, Any]) -> dict[str, Any]:
+        return tell(said, {name: value for name, value in reply.items() if name != "notes"})
+
+    patch.setitem(original._ANSWERS, b"joint_info", forget)
+
+
 @defect("3.1")
 def raw_auth_in_json(patch: MonkeyPatch) -> None:
     """It answers the bare password with an auth_success in JSON."""

@@ -246,3 +246,52 @@ def a_batch_without_ids(patch: MonkeyPatch) -> None:
         return {"type": "batch_result", "results": [{k: v for k, v in r.items() if k != "id"} for r in results]}
 
     around(patch, "batch", lose)
+
+
+@defect("5.52:opaque", "5.52:with-opacity", "3.9:set_color")
+def colours_that_are_only_said(patch: MonkeyPatch) -> None:
+    """It says that a cube has another colour, and leaves it as it is."""
+
+    def lie(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        name = world.entities.cube(command["cube_name"]).name
+        return {"type": "color_set", "cube_name": name, "color": [*command["color"], 1.0][:4]}
+
+    around(patch, "set_color", lie)
+
+
+@defect("5.48", backend="mujoco")
+def parameters_that_are_only_said(patch: MonkeyPatch) -> None:
+    """It says that it sets several parameters of a joint, and sets none."""
+
+    def lie(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        name = world.entities.joint(command["joint_name"]).name
+        return {"type": "joint_params_set", "joint_name": name, "params": command["params"]}
+
+    around(patch, "set_joint_params", lie)
+
+
+@defect("5.49")
+def joints_of_a_cube_newest_first(patch: MonkeyPatch) -> None:
+    """It lists the joints of a cube from the newest to the oldest."""
+
+    def turn(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
+        return {**reply, "joints": reply["joints"][::-1]}
+
+    around(patch, "get_joints_for_cube", turn)
+
+
+@defect("5.50")
+def chains_without_links(patch: MonkeyPatch) -> None:
+    """It joins nothing where chains are to be linked."""
+    around(patch, "link_cube_chains", lambda *_: {"type": "cubes_linked", "joints": []})
+
+
+@defect("5.51")
+def bodies_linked_across_any_gap(patch: MonkeyPatch) -> None:
+    """It joins the cubes of a body however far apart they are."""
+
+    def reach(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        return answer(world, client, {**command, "gap": 1000.0})
+
+    around(patch, "link_body_cubes", reach)

@@ -163,3 +163,17 @@ def despawning_a_joined_cube(t: Trial) -> None:
         t.equal(t.info(wire, cube)["joints"], [], f"joints of {cube}")
     command = {"type": "set_joint_param", "joint_name": joints[0], "param_name": "damping", "value": 1}
     t.refused(wire, command, "joint_not_found", "joint_name")
+
+
+@table(
+    52, "4.set_color", [Row("opaque", [0.25, 0.5, 0.75]), Row("with-opacity", [1, 0, 0.5, 0.25])], needs=("set_color",)
+)
+def painting(t: Trial, color: list[float]) -> None:
+    """A cube has the colour that set_color gives it, opaque where no opacity is given, and the reply tells it."""
+    wire, other = t.join(), t.join()
+    name = t.base(wire, color=[0, 0, 0, 0.5])
+    reply = t.ask(other, {"type": "set_color", "cube_name": name, "color": color}, "color_set")
+    expected = [*color, 1.0][:4]
+    t.equal(reply["cube_name"], name, "cube_name")
+    t.close(reply["color"], expected, 1e-6, "color of the reply")
+    t.close(t.info(wire, name)["color"], expected, 1e-6, "color")

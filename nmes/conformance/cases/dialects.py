@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from math import pi
 from typing import Any
 
-from nmes.conformance.case import Category, Row
+from nmes.conformance.case import Category, Row, Scope
 from nmes.conformance.cases.auth import AUTH_DELAY, only_error
 from nmes.conformance.trial import Trial
 from nmes.conformance.values import command_needs
-from nmes.conformance.wire import Wire, frame_of, read_json
+from nmes.conformance.wire import Message, Wire, frame_of, read_json
 from nmes.protocol import COMMANDS, DELIMITER
 
 DIALECTS = Category(3, "dialects")
@@ -107,7 +108,10 @@ def silence_after_an_invalid_command(t: Trial, kind: str) -> None:
     pong(t, wire, "next")
 
 
-@table(9, "2.2.4", [Row(kind, kind, command_needs(kind)) for kind in SILENT if kind != "apply_physics"])
+PUSHES = ("apply_force", "apply_physics")  # whose effect takes time: see 3.20 and 3.21
+
+
+@table(9, "2.2.4", [Row(kind, kind, command_needs(kind)) for kind in SILENT if kind not in PUSHES])
 def what_is_silent_is_done(t: Trial, kind: str) -> None:
     """A command without a reply has its effect."""
     json_wire, wire = t.join(), t.raw()
@@ -122,6 +126,8 @@ def what_is_silent_is_done(t: Trial, kind: str) -> None:
         t.true(cube not in cubes, f"no {cube} among the cubes", cubes)
     elif kind == "freeze_cube":
         t.equal(t.info(json_wire, cube)["frozen"], True, "frozen")
+    elif kind == "set_color":
+        t.close(t.info(json_wire, cube)["color"], [1, 1, 0, 1], 1e-6, "color")
 
 
 @table(
@@ -251,3 +257,143 @@ def auth_failed_is_bare_for_bytes_that_are_no_text(t: Trial) -> None:
     wire = t.connect()
     wire.send(b"\xff\xfe\x80" + DELIMITER)
     t.equal(wire.rest(t.target.timeout + AUTH_DELAY), [b"auth_failed"], "all that is said")
+
+
+# -- the words of the original ----------------------------------------------------------------------------------------
+
+
+def said(t: Trial, wire: Wire, command: dict[str, Any], expected: str) -> Message:
+    """Returns the reply to a command, of that type and with its id, in whichever words."""
+    wire.say({**command, "id": "said"})
+    reply = read_json(wire.frame(what=expected))
+    t.equal([reply["type"], reply["id"]], [expected, "said"], "type and id of the reply")
+    return reply
+
+
+def pair(t: Trial) -> tuple[str, str]:
+    """Returns two new frozen cubes beside each other."""
+    wire = t.join()
+    return t.base(wire), t.base(wire, position=t.at(1.5))
+
+
+@table(20, "2.5.1", [Row("1-kg", 1.0), Row("2-kg", 2.0)], needs=("time", "apply_force"), scope=Scope.TIME)
+def a_force_is_an_impulse(t: Trial, mass: float) -> None:
+    """In the raw dialect apply_force changes the velocity at once by force / mass."""
+    pushed_in_the_words_of_the_original(t, {"type": "apply_force", "force": [3 * mass, 0, 0]}, mass)
+
+
+@case(21, "2.5.2", needs=("time",), scope=Scope.TIME)
+def central_impulses(t: Trial) -> None:
+    """In the raw dialect the central_impulse of apply_physics is its impulse."""
+    pushed_in_the_words_of_the_original(t, {"type": "apply_physics", "central_impulse": [6, 0, 0]}, 2.0)
+
+
+def pushed_in_the_words_of_the_original(t: Trial, push: dict[str, Any], mass: float) -> None:
+    """Makes sure that a push gives a cube of that mass 3 m/s along x, and no more later."""
+    json_wire, wire = t.join(), t.raw()
+    name = t.spawn(json_wire, position=t.at(-3, 20), mass=mass)
+    wire.say({**push, "cube_name": name}, {"type": "ping", "id": "next"})
+    pong(t, wire, "next")
+    t.until(json_wire, name, 0.1, lambda info: info["linear_velocity"][0] > 1, "a velocity along x")
+    for info in t.watch(json_wire, name, 0.2):
+        t.close(info["linear_velocity"][0], 3.0, 0.1, "velocity along x")
+
+
+@table(
+    22,
+    "2.5.3",
+    [Row(kind, kind, (f"joint.{'slide' if kind == 'slider' else kind}",)) for kind in ("fixed", "hinge", "slider")],
+)
+def joints_are_called_after_their_cubes(t: Trial, kind: str) -> None:
+    """In the raw dialect a joint without a name is called after its type and cubes, as the client calls them."""
+    wire = t.raw()
+    one, two = pair(t)
+    t.equal(t.join_cubes(wire, one, two, kind), f"joint_{kind}_{one}_{two}", "joint_name")
+
+
+@case(23, "2.5.4", needs=("joint.fixed",))
+def joints_of_a_name_that_is_taken(t: Trial) -> None:
+    """In the raw dialect a joint of a name that is taken is made, with a number behind its name."""
+    wire, name = t.raw(), t.name("hip")
+    names = [t.join_cubes(wire, *pair(t), joint_name=name) for _ in range(3)]
+    t.equal(names, [name, f"{name}_2", f"{name}_3"], "the names of three joints")
+
+
+@table(
+    24,
+    "2.5.5",
+    [
+        Row("limit_enable", ("limit_enable", 1.0, {"limit_enabled": True}), ("limits",)),
+        Row("motor_enable", ("motor_enable", 1, {"motor_enabled": True}), ("motor",)),
+        Row("motor_max_impulse", ("motor_max_impulse", 0.5, {"motor_max_force": 30.0}), ("motor",)),
+    ],
+    needs=("joint.hinge",),
+)
+def parameters_in_the_words_of_the_original(t: Trial, row: tuple[str, Any, dict[str, Any]]) -> None:
+    """In the raw dialect parameters have the original's names, which the answer repeats, and mean ours."""
+    name, value, ours = row
+    json_wire, wire = t.join(), t.raw()
+    joint = t.join_cubes(json_wire, *pair(t), "hinge", limits=[-1, 1], motor_enabled=False)
+    one = {"type": "set_joint_param", "joint_name": joint, "param_name": name, "value": value}
+    reply = said(t, wire, one, "joint_param_set")
+    t.equal([reply["joint_name"], reply["param_name"], reply["value"]], [joint, name, value], "the reply")
+    if t.probe.claims("set_joint_params"):
+        several = {"type": "set_joint_params", "joint_name": joint, "params": {name: value}}
+        t.equal(said(t, wire, several, "joint_param_set")["params"], {name: value}, "params of the reply")
+    if t.probe.claims("get_joint_info"):
+        params = t.ask(json_wire, {"type": "get_joint_info", "joint_name": joint}, "joint_info")["params"]
+        t.equal({each: params[each] for each in ours}, ours, "the parameter in the json dialect")
+
+
+HINGE = {
+    "limit_lower": -pi / 2, "limit_upper": pi / 2, "limit_enable": 0.0, "motor_enable": 0.0,
+    "motor_target_velocity": 0.0, "motor_max_impulse": 1.0,
+}  # fmt: skip
+
+
+@table(
+    25,
+    "2.5.6",
+    [
+        Row("hinge", ("hinge", HINGE), ("joint.hinge", "limits", "motor")),
+        Row("slider", ("slider", {"linear_limit_lower": -1.0, "linear_limit_upper": 1.0}), ("joint.slide", "limits")),
+        Row("conetwist", ("conetwist", {"swing_span": pi / 4, "twist_span": pi}), ("joint.conetwist", "limits")),
+    ],
+    needs=("get_joint_info",),
+)
+def a_joint_has_the_defaults_of_the_original(t: Trial, row: tuple[str, dict[str, float]]) -> None:
+    """In the raw dialect a new joint has the original's defaults, told in the original's words, numbers all."""
+    kind, expected = row
+    wire = t.raw()
+    joint = t.join_cubes(wire, *pair(t), kind)
+    params = said(t, wire, {"type": "get_joint_info", "joint_name": joint}, "joint_info")["params"]
+    t.true(not any(isinstance(value, bool) for value in params.values()), "numbers", params)
+    t.close([params[name] for name in expected], list(expected.values()), 1e-6, f"params {', '.join(expected)}")
+
+
+@table(
+    26,
+    "2.5.7",
+    [Row("opaque", ("#FF0033", [1, 0, 0.2, 1])), Row("with-opacity", ("#00FF6633", [0, 1, 0.4, 0.2]))],
+    needs=("set_color",),
+)
+def colours_in_hex(t: Trial, row: tuple[str, list[float]]) -> None:
+    """In the raw dialect a colour may be written as hex, with or without opacity."""
+    text, color = row
+    json_wire, wire = t.join(), t.raw()
+    cube = t.base(json_wire)
+    wire.say({"type": "set_color", "cube_name": cube, "hex": text}, {"type": "ping", "id": "next"})
+    pong(t, wire, "next")
+    t.close(t.info(json_wire, cube)["color"], color, 1e-6, "color")
+
+
+@case(27, "2.5.8", needs=("joint.hinge", "get_joint_info"))
+def parameters_without_effect(t: Trial) -> None:
+    """In the raw dialect parameters without effect are kept with the joint, and told back."""
+    wire = t.raw()
+    joint = t.join_cubes(wire, *pair(t), "hinge", joint_params={"bias": 0.25, "softness": 0.75})
+    command = {"type": "set_joint_param", "joint_name": joint, "param_name": "softness", "value": 0.5}
+    reply = said(t, wire, command, "joint_param_set")
+    t.equal([reply["param_name"], reply["value"]], ["softness", 0.5], "the reply")
+    params = said(t, wire, {"type": "get_joint_info", "joint_name": joint}, "joint_info")["params"]
+    t.equal([params["bias"], params["softness"]], [0.25, 0.5], "bias and softness")

@@ -169,3 +169,57 @@ def a_target_enables_the_motor(t: Trial) -> None:
     command = {"type": "set_joint_param", "joint_name": plain, "param_name": "motor_target_velocity", "value": 1}
     t.ask(wire, command, "joint_param_set")
     t.equal(enabled(plain), True, "motor_enabled afterwards")
+
+
+@case(48, "4.set_joint_params", needs=("joint.hinge", "motor", "limits", "set_joint_params", "get_joint_info"))
+def setting_several_parameters(t: Trial) -> None:
+    """The reply to set_joint_params repeats what was set, get_joint_info tells it, and all is set or none."""
+    wire = t.join()
+    joint = t.join_cubes(wire, t.base(wire), t.base(wire, position=t.at(1.5)), "hinge", limits=[-1, 1])
+    command = {"type": "set_joint_params", "joint_name": joint}
+    params = {"motor_target_velocity": 2.5, "motor_max_force": 40.0, "limit_upper": 0.5}
+    reply = t.ask(wire, {**command, "params": params}, "joint_params_set")
+    t.equal([reply["joint_name"], reply["params"]], [joint, params], "joint_name and params")
+    t.refused(wire, {**command, "params": {"motor_target_velocity": 1.5, "limit_upper": -2.0}}, "invalid")
+    told = t.ask(wire, {"type": "get_joint_info", "joint_name": joint}, "joint_info")["params"]
+    t.equal({name: told[name] for name in params}, params, "the parameters afterwards")
+
+
+@case(49, "4.get_joints_for_cube", needs=("joint.fixed", "get_joints_for_cube"))
+def the_joints_of_a_cube(t: Trial) -> None:
+    """The joints of a cube are listed in order of creation, and those of others are not."""
+    wire = t.join()
+    cubes = [t.base(wire, position=t.at(n * 1.5)) for n in range(4)]
+    joints = [t.join_cubes(wire, cubes[1], cubes[2]), t.join_cubes(wire, cubes[0], cubes[1])]
+    for cube, expected in zip(cubes, ([joints[1]], joints, [joints[0]], []), strict=True):
+        reply = t.ask(wire, {"type": "get_joints_for_cube", "cube_name": cube}, "joints_for_cube")
+        t.equal([reply["cube_name"], reply["joints"]], [cube, expected], f"cube_name and joints of {cube}")
+
+
+@case(50, "4.link_cube_chains", needs=("joint.fixed", "link_cube_chains"))
+def linking_chains(t: Trial) -> None:
+    """Neighbours in chains of cubes are joined, all of them or none, by joints that are called after them."""
+    wire = t.join()
+    a, b, c, d, other = (t.base(wire, position=t.at(n * 1.5 - 3)) for n in range(5))
+    broken = {"type": "link_cube_chains", "chains": [[a, b], [c, "nobody-" + t.name()]]}
+    t.refused(wire, broken, "cube_not_found")
+    reply = t.ask(wire, {"type": "link_cube_chains", "chains": [[a, b, c], [c, d]]}, "cubes_linked")
+    one, two, three = (f"joint_fixed_{cube}_{after}" for cube, after in ((a, b), (b, c), (c, d)))
+    t.equal(reply["joints"], [one, two, three], "joints")
+    for cube, joints in ((a, [one]), (b, [one, two]), (c, [two, three]), (d, [three]), (other, [])):
+        t.equal(t.info(wire, cube)["joints"], joints, f"joints of {cube}")
+
+
+@case(51, "4.link_body_cubes", needs=("joint.fixed", "link_body_cubes"))
+def linking_a_body(t: Trial) -> None:
+    """Cubes with a prefix that touch, or nearly touch, are joined; those farther apart and without it are not."""
+    wire = t.join()
+    near, gap, far = (t.base(wire, "body", position=t.at(x)) for x in (-2.0, -0.9, 1.5))
+    other = t.base(wire, "other", position=t.at(2.5))
+    command = {"type": "link_body_cubes", "prefix": near[: near.index("body") + len("body")]}
+    joints = t.ask(wire, command, "cubes_linked")["joints"]
+    t.true(len(joints) == 1, "one joint", joints)
+    joints += t.ask(wire, {**command, "gap": 1.5}, "cubes_linked")["joints"]
+    t.true(len(joints) == 2, "one joint more where the gap may be 1.5 m", joints)
+    for cube, expected in ((near, joints[:1]), (gap, joints), (far, joints[1:]), (other, [])):
+        t.equal(t.info(wire, cube)["joints"], expected, f"joints of {cube}")
