@@ -139,13 +139,12 @@ class Player:
     def _judge_spawn(self, client: int, command: dict[str, Any], reply: Message) -> None:
         stem = command.get("cube_name")
         name = None if stem is None else stem + ("_BASE" if command.get("is_base") else "")
-        if name in self._cubes:
-            return self._error(reply, "cube_exists")
-        if name in self._used and reply["type"] == "error":  # a server need not accept a name again
-            return self._error(reply, "cube_exists")
         shape = command.get("shape", "box")
         wrong = [] if shape == "box" or self._trial.probe.claims(f"shape.{shape}") else ["unsupported"]
         wrong += [] if _fits(shape, command.get("size", 1.0)) else ["invalid"]
+        # Where two things are wrong, the error may tell of either; and a server need not accept a name again.
+        if name in self._cubes or (name in self._used and reply["type"] == "error"):
+            return self._error(reply, "cube_exists", *wrong)
         if wrong:
             return self._error(reply, *wrong)
         self._ok(command, reply)

@@ -142,6 +142,17 @@ def test_the_search_finds_no_mistake_of_our_server(seed: int | None) -> None:
         assert report.counts[Verdict.OK] == 4
 
 
+def test_where_two_things_are_wrong_the_search_takes_an_error_about_either(tmp_path: Path) -> None:
+    spawn = {"type": "spawn_cube", "cube_name": "{c0}"}
+    wrong = {**spawn, "shape": "capsule", "size": 1.0}  # which is no longer than wide, and a name that was taken
+    commands = [spawn, wrong, {"type": "despawn_cube", "cube_name": "{c0}"}, wrong]
+    script = [{"client": 0, "command": command} for command in commands]
+    (tmp_path / "case.json").write_text(json.dumps({"nmes.conform.case": 1, "script": script}))
+    with served({"backend": "mujoco"}) as server:
+        outcome = cli(f"127.0.0.1:{server.port}", "--replay", str(tmp_path / "case.json"))
+    assert (outcome.exit_code, "fixed" in outcome.output) == (0, True), outcome.output
+
+
 def own_the_base_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     spawn = COMMANDS["spawn_cube"]
 
