@@ -7,6 +7,7 @@ import hashlib
 import itertools
 import json
 import socket
+from contextlib import AbstractContextManager
 from typing import Any
 
 import pytest
@@ -29,6 +30,11 @@ SPAWNED = {"type": "cube_list", "cubes": [], "spawned": "cube_1_aaaaaaaa"}
 
 def judge(port: int, *only: str, timeout: float = 0.3, scheme: str = "tcp", **options: Any) -> Report:
     return run(Target("127.0.0.1", port, PASSWORD, timeout, scheme), Options(only=only, **options))
+
+
+def answering_one(kind: str, answer: Answer) -> AbstractContextManager[int]:
+    """Runs a server that gives commands of a type that answer, and is well otherwise."""
+    return answering(lambda said: answer if said["type"] == kind else None)
 
 
 def conform(*arguments: str) -> Outcome:
@@ -112,7 +118,7 @@ def test_a_time_limit_runs_before_the_first_case() -> None:
 def test_what_is_nested_too_deep_or_beyond_all_numbers_is_no_strict_json(value: str) -> None:
     for kind in ("auth", "get_world_info", "ping"):
         sent = json.dumps(ANSWERS[kind])[:-1].encode() + f',"x":{value}}}'.encode() + DELIMITER
-        with answering(lambda said, kind=kind, sent=sent: [sent] if said["type"] == kind else None) as port:
+        with answering_one(kind, [sent]) as port:
             outcome = conform(f"127.0.0.1:{port}", "--only", "5.1", "--timeout", "0.5", "--json")
         report = json.loads(outcome.stdout)
         (result,) = report["results"]
@@ -126,10 +132,7 @@ def test_what_is_nested_too_deep_or_beyond_all_numbers_is_no_strict_json(value: 
 
 
 def test_what_a_server_says_does_not_command_the_terminal() -> None:
-    def answer(said: dict[str, Any]) -> Answer | None:
-        return [b"\x1b[2J\x1b[32mconforms\n\xe2\x80\xae" + DELIMITER] if said["type"] == "ping" else None
-
-    with answering(answer) as port:
+    with answering_one("ping", [b"\x1b[2J\x1b[32mconforms\n\xe2\x80\xae" + DELIMITER]) as port:
         outcome = conform(f"127.0.0.1:{port}", "--only", "5.1")
         (result,) = judge(port, "5.1").results
     for text in (outcome.output, describe(result)):
@@ -144,7 +147,7 @@ def test_of_long_answers_the_ends_are_kept_and_of_good_ones_nothing() -> None:
     pad = "x" * (2 << 20)
     for kind, verdict in (("pong", Verdict.OK), ("pang", Verdict.FAILED)):
         sent = {"type": kind, "pad": pad}
-        with answering(lambda said, sent=sent: sent if said["type"] == "ping" else None) as port:
+        with answering_one("ping", sent) as port:
             report = judge(port, "1.1", timeout=PATIENCE)
         (result,) = report.results
         assert result.verdict is verdict
