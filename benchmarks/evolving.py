@@ -71,7 +71,7 @@ RANDOM = "--algorithm random --seeds 1"
 def nmes(*words: str) -> Any:
     """Runs a command of NMES, says which, and returns the object that it prints."""
     print(f"  nmes {shlex.join(words)}", file=sys.stderr, flush=True)
-    command = [sys.executable, "-m", "nmes", *words, "--json"]
+    command = [sys.executable, "-P", "-m", "nmes", *words, "--json"]
     return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
 
 

@@ -105,7 +105,7 @@ class Bystander:
 @contextmanager
 def bystander(port: int, world: str, authority: str = "") -> Iterator[Bystander]:
     """Runs a client that pings a world, and has done so; over TLS where the file of an authority is named."""
-    command = [sys.executable, "-c", _BYSTANDER, str(port), PASSWORD, world, authority]
+    command = [sys.executable, "-P", "-c", _BYSTANDER, str(port), PASSWORD, world, authority]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         client = Bystander(process)

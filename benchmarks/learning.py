@@ -132,7 +132,9 @@ def figures() -> Iterator[Figure]:
         details = {"ours": rate, "Gymnasium's Ant": theirs}
         yield Figure("body-steps/s: make_vec / Gymnasium's Ant", rate / theirs, "x", at_least=1.4, details=details)
     program = _MEMORY.format(rows=MANY)
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=os.environ)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True, env=os.environ
+    )
     yield Figure(f"make_vec, {MANY:,} walkers: memory of the process", float(done.stdout), "MiB", at_most=300.0)
 
 

@@ -24,7 +24,7 @@ from PIL import Image
 
 from nmes.backend import Backend, entry_points_by_name, load_backend
 from nmes.backend.probe import probe
-from nmes.errors import BackendNotFound, NmesError
+from nmes.errors import BackendNotFound, NmesError, visible
 from nmes.world import World
 
 __all__ = ["Finding", "look_at_everything", "take_probes"]
@@ -132,10 +132,17 @@ def take_probes(names: Iterable[str]) -> dict[str, str]:
 
 def _probes(names: list[str]) -> Iterator[Finding]:
     """Yields what each engine's probe is, taken here and in a process of its own."""
-    result = subprocess.run([sys.executable, "-c", _PROBES, *names], capture_output=True, text=True, check=False)
-    again = json.loads(result.stdout) if result.returncode == 0 else {}
+    # -P: files of the working folder are not in its way.
+    result = subprocess.run([sys.executable, "-P", "-c", _PROBES, *names], capture_output=True, check=False)
+    again = json.loads(result.stdout) if result.returncode == 0 else None
+    if again is None:
+        said = (
+            visible(result.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]) or "nothing on standard error"
+        )
+        value = f"ended with status {result.returncode}: {said}"
+        yield Finding("another process", "wrong", value, "probes are taken here alone until what it says is mended")
     for name, here in take_probes(names).items():
-        other = again.get(name, f"none (status {result.returncode})")
+        other = here if again is None else again[name]
         if here != other:
             value = f"{here}, and in another process {other}"
             hint = "what is recorded here is not reproduced: test the memory, look for what changes libraries"

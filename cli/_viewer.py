@@ -36,7 +36,7 @@ def viewer(address: str, port: int, password: str, tls_cert: Path | None, quiet:
         options += ["--tls-ca", str(tls_cert)]
     # A session of its own: Ctrl-C is for the host, which then ends the viewer, once.
     process = subprocess.Popen(
-        [sys.executable, "-c", "from nmes.cli import main; main()", "view", target, *options],
+        [sys.executable, "-P", "-c", "from nmes.cli import main; main()", "view", target, *options],
         env={**os.environ, PASSWORD_VARIABLE: password},
         stdout=sys.stderr.fileno() if quiet else None,
         start_new_session=True,

@@ -22,7 +22,7 @@ CORPUS = ROOT / "corpus" / "creatures.jsonl.zst"
 GALLERY = ROOT / "docs" / "gallery.html"
 BEST = 120
 """So many creatures of a run at most."""
-_NMES = (sys.executable, "-m", "nmes")
+_NMES = (sys.executable, "-P", "-m", "nmes")
 _ELITES = (
     *("--algorithm", "map-elites"),
     *("--measure", "mass from 0 to 60 in 12", "--measure", "legs from 0 to 8 in 8"),

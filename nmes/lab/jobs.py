@@ -165,6 +165,7 @@ class Jobs:
         try:
             process = await asyncio.create_subprocess_exec(
                 sys.executable,
+                "-P",  # files of the working folder are not in its way
                 "-m",
                 "nmes",
                 *arguments,

@@ -369,7 +369,9 @@ def _in_a_process(source: Source, steps: int) -> _Trace | None:
         return None
     other = next(seed for seed in _HASH_SEEDS if seed != os.environ.get("PYTHONHASHSEED"))
     settings = {**os.environ, "PYTHONHASHSEED": other}
-    done = subprocess.run([sys.executable, "-c", _CHILD], input=asked, capture_output=True, env=settings, check=False)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", _CHILD], input=asked, capture_output=True, env=settings, check=False
+    )
     if done.returncode:
         raise NotDeterministic([f"in another process: it fails: {done.stderr.decode(errors='replace').strip()[-400:]}"])
     trace: _Trace = pickle.loads(done.stdout)

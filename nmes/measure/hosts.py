@@ -133,7 +133,7 @@ def running_host(mode: str, rate: float = 1.0) -> Iterator[RunningHost]:
     """
     password = secrets.token_hex(16)
     ticks = ["--mode", mode, "--rate", f"{rate:g}"]
-    command = [sys.executable, "-m", "nmes", "serve", "--port", "0", "--no-record", *ticks, "--json"]
+    command = [sys.executable, "-P", "-m", "nmes", "serve", "--port", "0", "--no-record", *ticks, "--json"]
     environment = {**os.environ, "NMES_PASSWORD": password}
     process: subprocess.Popen[bytes] | None = None
     try:

@@ -106,7 +106,7 @@ def _pip(*arguments: str) -> None:
         MachineError: It fails.
     """
     options = ("--isolated", "--disable-pip-version-check", "--no-input", "-q")
-    done = subprocess.run([sys.executable, "-m", "pip", *options, *arguments], capture_output=True, check=False)
+    done = subprocess.run([sys.executable, "-P", "-m", "pip", *options, *arguments], capture_output=True, check=False)
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip().splitlines()[-_TOLD:]
         raise MachineError("cannot_measure", "pip failed: " + visible("\n".join(said), keep="\n"))

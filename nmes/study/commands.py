@@ -86,7 +86,7 @@ class Stopper:
             theirs, ours = os.pipe()
             try:
                 process = subprocess.Popen(
-                    [sys.executable, "-c", _TIED, str(theirs), *words],
+                    [sys.executable, "-P", "-c", _TIED, str(theirs), *words],
                     stdin=subprocess.DEVNULL,
                     stdout=out,
                     stderr=errors,

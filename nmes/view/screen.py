@@ -173,7 +173,7 @@ def screen(
     grpc, http = _free_port(host), _free_port(host, port)
     options = ["--serve-web", "--web-viewer-port", str(http)] if web else ["--expect-data-soon"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "rerun_cli", "--bind", host, "--port", str(grpc), *options],
+        [sys.executable, "-P", "-m", "rerun_cli", "--bind", host, "--port", str(grpc), *options],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         stdin=subprocess.DEVNULL,

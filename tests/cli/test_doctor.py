@@ -87,6 +87,35 @@ def test_what_a_machine_lacks_or_gets_wrong_is_told(tmp_path: Path, plant: dict[
     assert findings["open files"]["value"] == "at most 200"
 
 
+def test_files_of_the_working_folder_are_not_in_the_way(tmp_path: Path) -> None:
+    (tmp_path / "random.py").write_text("raise RuntimeError('not yours')")
+    (tmp_path / "nmes").mkdir()
+    (tmp_path / "nmes" / "__init__.py").write_text("raise RuntimeError('not yours')")
+    _, findings = examine(cwd=tmp_path)
+    assert wrong(findings) == BLIND
+
+
+NO_CHILD = """
+import os, sys
+if any("take_probes" in word for word in sys.orig_argv):
+    os.write(2, b"no such luck\\nno room for \\x1b[31mmore\\n")
+    os._exit(3)
+"""
+
+
+def test_a_process_that_does_not_begin_is_told_with_what_it_said(tmp_path: Path, plant: dict[str, str]) -> None:
+    (tmp_path / "sitecustomize.py").write_text(NO_CHILD)
+    status, findings = examine(cwd=tmp_path, **plant)
+    assert (status, wrong(findings)) == (1, ["another process", *BLIND])
+    assert findings["another process"]["value"] == r"ended with status 3: no room for \x1b[31mmore"
+    assert findings["probe of mujoco"] == {
+        "name": "probe of mujoco",
+        "status": "ok",
+        "value": probe(load_backend("mujoco")),
+        "hint": "",
+    }
+
+
 HIDE = """
 import importlib.metadata as m
 version = m.version

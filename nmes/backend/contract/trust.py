@@ -122,7 +122,7 @@ class TrustChecks(Checks):
     def check_fresh_processes(self, first: int, count: int) -> None:
         """Compares the digests of programs `first` to `first + count - 1` in two fresh processes."""
         target = f"{self.backend.__module__}:{self.backend.__qualname__}"
-        command = [sys.executable, "-m", "nmes.backend.contract.programs", target, str(first), str(count)]
+        command = [sys.executable, "-P", "-m", "nmes.backend.contract.programs", target, str(first), str(count)]
         paths = os.pathsep.join(path for path in sys.path if path)
         runs = []
         for settings in ({"PYTHONHASHSEED": "1"}, {"PYTHONHASHSEED": "2", "PYTHONMALLOC": "malloc"}):
