@@ -136,10 +136,8 @@ def _probes(names: list[str]) -> Iterator[Finding]:
     result = subprocess.run([sys.executable, "-P", "-c", _PROBES, *names], capture_output=True, check=False)
     again = json.loads(result.stdout) if result.returncode == 0 else None
     if again is None:
-        said = (
-            visible(result.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]) or "nothing on standard error"
-        )
-        value = f"ended with status {result.returncode}: {said}"
+        said = result.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2] or "nothing on standard error"
+        value = f"ended with status {result.returncode}: {visible(said)}"
         yield Finding("another process", "wrong", value, "probes are taken here alone until what it says is mended")
     for name, here in take_probes(names).items():
         other = here if again is None else again[name]

@@ -237,6 +237,16 @@ def test_every_command_is_one_that_nmes_has() -> None:
                 assert re.search(rf"^ +(-\w, )?{re.escape(argument.partition('=')[0])}\b", result.output, re.MULTILINE)
 
 
+def test_the_run_of_the_ray_job_is_one_that_can_be_made(tmp_path: Path) -> None:
+    program, *arguments = shlex.split(read(DEPLOY / "ray" / "rayjob.yaml")["spec"]["entrypoint"])
+    assert program == "nmes" and option(arguments, "--ray") == "auto" and option(arguments, "-o")
+    smaller = {"--ray": ["--jobs", "1"], "--budget": ["--budget", "1"], "-o": ["-o", str(tmp_path / "run")]}
+    for name, instead in smaller.items():
+        arguments[(at := arguments.index(name)) : at + 2] = instead
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+
+
 def test_ports_probes_and_graces_are_those_of_the_command() -> None:
     (pod,) = pods(read(DEPLOY / "kubernetes" / "statefulset.yaml"))
     (container,) = pod["containers"]
