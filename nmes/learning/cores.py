@@ -6,7 +6,8 @@ Hides where recordings go.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,7 +20,7 @@ from nmes.evaluation import Result, Task
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags
 
-__all__ = ["Core", "Records", "folder_of", "told"]
+__all__ = ["Core", "Records", "closed_on_failure", "folder_of", "told"]
 
 
 class Core(Protocol):
@@ -51,6 +52,16 @@ class Core(Protocol):
 
     def close(self) -> None:
         """Ends all episodes."""
+
+
+@contextmanager
+def closed_on_failure(core: Core) -> Iterator[None]:
+    """Closes a core where what is made of it fails: one of worlds elsewhere has stopped their clocks."""
+    try:
+        yield
+    except BaseException:
+        core.close()
+        raise
 
 
 def told(result: Result) -> dict[str, Any]:

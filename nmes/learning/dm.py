@@ -25,7 +25,7 @@ from nmes.genome import Genome
 from nmes.genome.body import Sensor
 from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
-from nmes.learning.cores import Core
+from nmes.learning.cores import Core, closed_on_failure
 
 __all__ = ["DmEnvironment", "dm_environment"]
 
@@ -72,17 +72,18 @@ class DmEnvironment(dm_env.Environment):  # type: ignore[misc]
         """Makes an environment.
 
         Args:
-            core: What it stands on.
+            core: What it stands on, which is closed where nothing comes of the environment.
             random: The seed; None: one that the system draws.
 
         Raises:
             WorldError: The creature has no motors, or no sensors.
         """
+        with closed_on_failure(core):
+            observed, acted = spaces.of(core.genome)
         self._core, self._seed = core, secrets.randbits(63) if random is None else random
         self._begun = False
         self._goes = False  # whether an episode goes on
         self.result: Result | None = None
-        observed, acted = spaces.of(core.genome)
         self._columns: dict[str, list[int]] = {}
         for column, sensor in enumerate(core.genome.body.sensors):
             self._columns.setdefault(_name(sensor), []).append(column)

@@ -24,7 +24,7 @@ from nmes.evaluation.task import TaskLike
 from nmes.genome import Genome
 from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
-from nmes.learning.cores import Core, Records, told
+from nmes.learning.cores import Core, Records, closed_on_failure, told
 from nmes.learning.registration import register
 from nmes.learning.window import Window
 
@@ -96,16 +96,13 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
             WorldError: The creature has no motors, or no sensors; or the engine draws no pictures.
             RecordingError: The folder cannot be made.
         """
-        try:
+        with closed_on_failure(core):
             modes = _modes(render_mode, core.task)
+            self.observation_space, self.action_space = spaces.of(core.genome)
             self._records = None if record is None else Records(record, 1)
-        except BaseException:
-            core.close()
-            raise
         self._core, self.render_mode = core, render_mode
         self.genome, self.task, self.sensors, self.motors = core.genome, core.task, core.sensors, core.motors
         self.metadata = {"render_modes": modes, "render_fps": core.task.tick_rate}
-        self.observation_space, self.action_space = spaces.of(core.genome)
         self.units = spaces.units(core.genome)
         self._window = Window(f"{core.genome.name} on {core.task.name}", core.task.tick_rate)
         self._begun = False

@@ -25,7 +25,7 @@ from nmes.evaluation.task import Task, TaskLike
 from nmes.genome import Genome
 from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
-from nmes.learning.cores import Core, Records, told
+from nmes.learning.cores import Core, Records, closed_on_failure, told
 from nmes.learning.environment import check_options
 from nmes.objective.trajectory import Flags
 
@@ -63,7 +63,7 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
         """Makes an environment.
 
         Args:
-            core: What it stands on, with the same mode of autoreset.
+            core: What it stands on, with the same mode of autoreset; closed where nothing comes of the environment.
             autoreset_mode: When a row whose episode is over begins its next.
             record: A folder in which every episode that comes to its end is recorded; None: none is.
             copy: Whether each call returns arrays of its own; else those that the next call overwrites.
@@ -73,15 +73,17 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
             WorldError: The creature has no motors, or no sensors.
             RecordingError: The folder cannot be made.
         """
-        self._core, self._copy, self._mode = core, copy, AutoresetMode(autoreset_mode)
+        with closed_on_failure(core):
+            self._mode = AutoresetMode(autoreset_mode)
+            self.single_observation_space, self.single_action_space = spaces.of(core.genome)
+            self._records = None if record is None else Records(record, len(core.results))
+        self._core, self._copy = core, copy
         self.genome, self.task, self.sensors, self.motors = core.genome, core.task, core.sensors, core.motors
         self.units, self.num_envs = spaces.units(core.genome), len(core.results)
         fps = core.task.tick_rate
         self.metadata = {**type(self).metadata, "autoreset_mode": self._mode, "render_fps": fps}
-        self.single_observation_space, self.single_action_space = spaces.of(core.genome)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._records = None if record is None else Records(record, self.num_envs)
         self._begun: Flags = np.zeros(self.num_envs, np.bool_)
 
     def reset(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import ssl
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from nmes.learning import (
     TaskVectorEnv,
     check_determinism,
 )
+from nmes.learning.dm import DmEnvironment
 from nmes.playback import replay
 from nmes.world.commands import COMMANDS
 from opengl import OPENGL
@@ -478,6 +480,22 @@ def test_an_environment_that_is_refused_leaves_no_connection(server: Served) -> 
     with pytest.raises(ValueError, match="render_mode"):
         Remote(**settings(server, render_mode="sketch"))
     gc.collect()  # what is left open then is warned of, which fails the test
+
+
+def remote_dm(**asked: Any) -> DmEnvironment:
+    address, genome, task = (asked.pop(name) for name in ("address", "genome", "task"))
+    return DmEnvironment(RemoteEnvironments(address, Genome.load(genome), task, autoreset="disabled", **asked))
+
+
+@pytest.mark.parametrize("door", [Remote, partial(RemoteVector, count=1), remote_dm])
+def test_an_environment_that_is_refused_leaves_the_world_in_its_mode(
+    server: Served, door: Callable[..., object]
+) -> None:
+    senseless = snake(None, sensors=[])
+    with server.client(world="a") as client:
+        with pytest.raises(WorldError, match="no sensors"):
+            door(**settings(server, genome=senseless))
+        assert client.get_world_info()["mode"] == "realtime"
 
 
 def test_a_remote_environment_is_the_local_one_in_another_place(server: Served) -> None:
