@@ -72,6 +72,15 @@ class _NotComparable(click.ClickException):
     exit_code = 3
 
 
+_FAILURES: Final[dict[str, type[click.ClickException]]] = {
+    "not_comparable": _NotComparable,
+    # To name a folder that holds none is wrong usage: 1 would say of a run that it is broken, or was interrupted.
+    "no_run": click.UsageError,
+    "no_study": click.UsageError,
+}
+"""What errors of the library become, by their codes; else a plain failure."""
+
+
 def _escape(error: UnicodeError) -> tuple[str, int]:
     """Returns letters that cannot be encoded as JSON has them, which people understand too, and where they end."""
     assert isinstance(error, UnicodeEncodeError)
@@ -126,7 +135,7 @@ class _Group(click.Group):
             vars(error)["message"] = visible(error.message, keep="\n")  # to type checkers it is final
             raise
         except NmesError as error:
-            failure = _NotComparable if error.code == "not_comparable" else click.ClickException
+            failure = _FAILURES.get(error.code, click.ClickException)
             raise failure(visible(error.message, keep="\n")) from error
         except TimeoutError as error:  # of a server that does not answer
             raise click.ClickException(visible(str(error))) from error

@@ -102,7 +102,7 @@ def _read(name: str, kind: type[Loaded]) -> Loaded:
     try:
         return kind.load(name)
     except DocumentError as error:
-        raise click.ClickException(f"{visible(name)}:\n{error.message}") from error
+        raise click.UsageError(f"{visible(name)}:\n{error.message}") from error
 
 
 def _require_score(evaluation: Evaluation) -> None:

@@ -200,6 +200,15 @@ def test_a_file_that_cannot_be_written_is_an_error(arguments: tuple[str, ...], t
 
 
 @pytest.mark.parametrize(
+    "arguments", ["evolve verify", "evolve resume", "learn verify", "survey verify", "study verify"]
+)
+def test_a_folder_that_holds_nothing_of_its_kind_is_wrong_usage(arguments: str, tmp_path: Path) -> None:
+    result = run(*arguments.split(), str(tmp_path))
+    assert isinstance(result.exception, SystemExit) and result.exit_code == 2, result.output
+    assert str(tmp_path) in result.output
+
+
+@pytest.mark.parametrize(
     ("limit", "arguments", "words"),
     [
         (5, ("serve", "--port", "0", "--no-record", "--backend", "ballistic"), "a host needs 32 open files, 5 are"),

@@ -199,7 +199,7 @@ def test_what_is_no_run_is_refused_in_words(command: str, tmp_path: Path) -> Non
     (tmp_path / "damaged" / "run.json").write_text("{")
     for name in ("nothing", "empty", "damaged"):
         result = evolve(command, tmp_path / name, *output)
-        assert result.exit_code == 1 and str(tmp_path / name) in result.output and "Traceback" not in result.output
+        assert result.exit_code == 2 and str(tmp_path / name) in result.output and "Traceback" not in result.output
     assert sorted(path.name for path in tmp_path.iterdir()) == ["damaged", "empty"]
 
 

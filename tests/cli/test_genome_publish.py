@@ -83,8 +83,8 @@ def test_what_has_no_score_or_no_place_is_not_published(inputs: tuple[Path, Path
         ([tmp_path / "still.json", "--task", task, "-o", tmp_path / "x"], 1, "brain/oscillators/0"),
         ([genome, "--task", limited, "-o", tmp_path / "x"], 1, "at most 1"),
         ([genome, "--task", walk, "-o", tmp_path / "x"], 2, "another task than the walk that ships"),
-        ([genome, "--task", "wlak", "-o", tmp_path / "x"], 1, "did you mean walk?"),
-        (["walkr", "--task", task, "-o", tmp_path / "x"], 1, "did you mean walker?"),
+        ([genome, "--task", "wlak", "-o", tmp_path / "x"], 2, "did you mean walk?"),
+        (["walkr", "--task", task, "-o", tmp_path / "x"], 2, "did you mean walker?"),
         ([genome, "--task", task, "-o", tmp_path / "taken"], 2, "there is"),
     ]
     for arguments, status, word in cases:

@@ -236,7 +236,7 @@ def test_a_creature_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
 def test_a_folder_of_something_else_is_told(whole: Path, tmp_path: Path) -> None:
     for command in ("resume", "show", "verify"):
         result = nmes(command, tmp_path)
-        assert result.exit_code == 1 and "there is no run in" in result.output
+        assert result.exit_code == 2 and "there is no run in" in result.output
     result = nmes("inchworm", "-o", whole)
     assert result.exit_code == 1 and "there is a run in" in result.output
     (tmp_path / "file").write_text("x")

@@ -365,7 +365,7 @@ def test_folders_that_are_none_of_a_survey_are_refused(whole: Survey, tmp_path: 
     ):
         (tmp_path / "run.json").write_bytes(orjson.dumps({**document, **change}))
         refused = run("survey", "resume", tmp_path)
-        assert refused.exit_code == 1 and words in refused.output
+        assert refused.exit_code == 2 and words in refused.output
     elsewhere = {**document["fingerprint"], "probe": "of another machine"}
     (tmp_path / "run.json").write_bytes(orjson.dumps({**document, "fingerprint": elsewhere}))
     refused = run("survey", "resume", tmp_path)

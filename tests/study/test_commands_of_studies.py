@@ -71,7 +71,7 @@ def told(folder: Path, arm: str = "", **commands: str) -> str:
     make_bare_study(folder, commands, dict.fromkeys(commands, f"{next(iter(commands))} status"), arm)
     (folder / "any.json").write_text(json.dumps({**TASK, "description": "Of {braces}, {seed}."}))
     result = run("study", "run", folder, "--jobs", "1")
-    assert result.exit_code == 1, result.output
+    assert result.exit_code == 2, result.output
     return result.output
 
 
@@ -125,7 +125,7 @@ def test_a_value_of_a_factor_has_no_placeholder_of_nothing(tmp_path: Path) -> No
     path = folder / "study.toml"
     path.write_text(path.read_text().replace("[commands]", '[factors]\nname = ["{nobody}"]\n\n[commands]'))
     result = run("study", "run", folder)
-    assert result.exit_code == 1 and "setting name: there is nothing that {nobody} stands for" in result.output
+    assert result.exit_code == 2 and "setting name: there is nothing that {nobody} stands for" in result.output
 
 
 @pytest.mark.parametrize("name", ["nothing", "worlds"])

@@ -266,29 +266,29 @@ def test_a_study_with_a_folder_is_refused_since_no_change_in_it_would_be_noticed
     (copied / "genomes").mkdir()
     for command in ("run", "verify", "report"):
         result = run("study", command, copied)
-        assert result.exit_code == 1
+        assert result.exit_code == 2
         assert f"{copied / 'genomes'} is a folder: documents of a study lie beside its study.toml" in result.output
 
 
 def test_a_document_whose_name_is_no_text_is_refused(copied: Path) -> None:
     Path(os.fsdecode(os.fsencode(copied) + b"/\xff.json")).write_text("{}")
     result = run("study", "verify", copied, "--sample", "0")
-    assert result.exit_code == 1 and "is not in UTF-8" in result.output
+    assert result.exit_code == 2 and "is not in UTF-8" in result.output
 
 
 def test_a_study_that_is_too_large_is_refused(copied: Path) -> None:
     os.truncate(copied / "slide.json", (64 << 20) + 1)
     result = run("study", "verify", copied, "--sample", "0")
-    assert result.exit_code == 1 and "slide.json: it has over 67,108,864 bytes" in result.output
+    assert result.exit_code == 2 and "slide.json: it has over 67,108,864 bytes" in result.output
     os.truncate(copied / "study.toml", (1 << 20) + 1)
     result = run("study", "verify", copied, "--sample", "0")
-    assert result.exit_code == 1 and "study.toml: it has over 1,048,576 bytes" in result.output
+    assert result.exit_code == 2 and "study.toml: it has over 1,048,576 bytes" in result.output
 
 
 def test_a_pipe_is_no_study(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "study.toml")
     result = run("study", "report", tmp_path)
-    assert result.exit_code == 1 and "study.toml: it is no regular file" in result.output
+    assert result.exit_code == 2 and "study.toml: it is no regular file" in result.output
 
 
 def test_a_discussion_that_is_too_long_is_refused_and_not_cut(copied: Path) -> None:
@@ -551,7 +551,7 @@ def test_an_arm_may_be_run_in_some_cells_alone_and_is_compared_where_both_are(tm
     edit(folder / "study.toml", '{ genome = "still" }', '{ genome = "still" }\nfactors = { size = [2] }')
     result = run("study", "run", folder)
     told = "arms swinging and still have not the same cells with budget small: say `where` both have"
-    assert result.exit_code == 1 and f"values/gain: {told}" in result.output and "values/alike" in result.output
+    assert result.exit_code == 2 and f"values/gain: {told}" in result.output and "values/alike" in result.output
     text = (folder / "study.toml").read_text().replace('over = "still" }', 'over = "still", where = { size = 2 } }')
     (folder / "study.toml").write_text(text)
     runs = Study.load(folder).plan("small").runs
@@ -606,7 +606,7 @@ def test_what_is_wrong_with_a_study_is_told_with_its_place(old: str, new: str, w
     folder = make_study(tmp_path / "wrong")
     edit(folder / "study.toml", old, new)
     result = run("study", "run", folder)
-    assert result.exit_code == 1 and words in result.output, result.output
+    assert result.exit_code == 2 and words in result.output, result.output
 
 
 def test_arms_that_share_nothing_are_not_equal(tmp_path: Path) -> None:
@@ -614,12 +614,12 @@ def test_arms_that_share_nothing_are_not_equal(tmp_path: Path) -> None:
     edit(folder / "study.toml", 'statistic = "equal", column = "hash"', 'statistic = "equal"')
     edit(folder / "study.toml", 'title = "A small study"', 'title = "A small study"\nmeasured = ["score", "hash"]')
     result = run("study", "run", folder)
-    assert result.exit_code == 1 and "values/alike/column: both arms have no column that is not" in result.output
+    assert result.exit_code == 2 and "values/alike/column: both arms have no column that is not" in result.output
 
 
 def test_what_is_not_there_is_told_with_what_to_do(tmp_path: Path) -> None:
     result = run("study", "report", tmp_path / "none")
-    assert result.exit_code == 1 and "there is no study in " in result.output
+    assert result.exit_code == 2 and "there is no study in " in result.output
     folder = make_study(tmp_path / "fresh")
     result = run("study", "verify", folder)
     assert result.exit_code == 1 and f"nmes study run {folder} --budget small" in result.output
