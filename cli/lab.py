@@ -8,6 +8,7 @@ import json
 import secrets
 import signal
 import sys
+import threading
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,7 +79,7 @@ def command(folder: Path, host: str, port: int, no_open: bool, as_json: bool) ->
 async def _run(folder: Folder, address: str, port: int, quiet: bool, as_json: bool) -> None:
     """Serves a lab until a signal comes."""
     from nmes.lab.lab import open_lab
-    from nmes.lab.server import application, new_token
+    from nmes.lab.server import PAGES, UNBUILT, application, new_token
 
     signals: asyncio.Queue[signal.Signals] = asyncio.Queue()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -98,6 +99,9 @@ async def _run(folder: Folder, address: str, port: int, quiet: bool, as_json: bo
             click.echo(f"The lab is at {url}")
             kept = f"It keeps what it has in {folder.path}; its worlds are on port {lab.port} too. Ctrl-C stops"
             click.echo(visible(kept))
+        if not (PAGES / "index.html").is_file():
+            click.echo(UNBUILT, err=True)
         if not quiet:
-            webbrowser.open(url)
+            # Text browsers keep who opens them waiting until they are left.
+            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
         await signals.get()

