@@ -260,17 +260,22 @@ def _password(options: Mapping[str, Any]) -> tuple[str, str]:
 def _world_passwords(folder: Path | None, names: Collection[str]) -> dict[str, str]:
     """Returns the passwords of single worlds, by name, each the first line of the file of that name."""
     passwords = {}
-    for file in sorted(folder.iterdir()) if folder is not None else ():
+    for file in _files(folder):
         if file.name not in names:  # else whoever was given this password would learn at the door that it opens nothing
             raise click.UsageError(f"{file}: there is no world {file.name!r} here; a file is named after its world")
         passwords[file.name] = read_password(file)
     return passwords
 
 
+def _files(folder: Path | None) -> list[Path]:
+    """Returns the files of a folder of passwords, without hidden ones: a Secret of Kubernetes has `..data` in it."""
+    return [] if folder is None else sorted(file for file in folder.iterdir() if not file.name.startswith("."))
+
+
 def _makers(folder: Path | None, others: Collection[str]) -> dict[str, str]:
     """Returns the passwords of makers, by name, each the first line of its file; `others` open something already."""
     makers: dict[str, str] = {}
-    for file in sorted(folder.iterdir()) if folder is not None else ():
+    for file in _files(folder):
         password = read_password(file)
         if password in (*others, *makers.values()):  # it could not be told who comes
             raise click.UsageError(f"{file} has a password that opens something else already")

@@ -230,6 +230,8 @@ def test_nmes_serve_has_templates_makers_and_one_port_for_many(tmp_path: Path) -
     makers.mkdir()
     (templates / "moon.json").write_text(json.dumps(TEMPLATES["moon"]))
     (makers / "ann").write_text(MAKERS["ann"])
+    (makers / "..data").mkdir()  # as Kubernetes mounts a Secret
+    (makers / ".keep").touch()
     options = ["--templates", str(templates), "--makers", str(makers), "--max-worlds", "32", "--max-worlds-each", "1"]
     many = ["--worlds", "30", "--port-step", "0", "--port", "0", "--backend", "ballistic", "--mode", "lockstep"]
     with process("serve", "--no-record", *many, *options, NMES_PASSWORD=PASSWORD) as server:

@@ -122,7 +122,10 @@ def test_a_folder_that_does_not_fit_is_refused(file: str, text: str, says: str, 
 def test_a_single_world_has_its_own_password_too_and_no_recording_holds_one(tmp_path: Path) -> None:
     folder = tmp_path / "passwords"
     folder.mkdir()
-    (folder / "main").write_text("for main only")
+    (folder / "..data").mkdir()  # as Kubernetes mounts a Secret
+    (folder / "..data" / "main").write_text("for main only")
+    (folder / "main").symlink_to("..data/main")
+    (folder / ".keep").touch()
     options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path / "kept")]
     with process("serve", "--json", *options, "--world-passwords", str(folder), NMES_PASSWORD=PASSWORD) as server:
         line = ready(server)
