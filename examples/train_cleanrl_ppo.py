@@ -74,7 +74,9 @@ def collect(envs: Any, agent: Agent, seen: Any) -> tuple[Any, dict[str, Any], li
         following, rewards, terminated, truncated, told = envs.step(np.clip(actions.numpy(), -1.0, 1.0))
         beyond = torch.zeros(ROWS)  # what an episode that only lasted its time would still have earned
         for row in np.flatnonzero(terminated | truncated).tolist():
-            scores.append(told["final_info"]["result"]["score"][row])
+            score = told["final_info"]["result"]["score"][row]
+            if score is not None:  # of a world that faulted there is none
+                scores.append(score)
             if truncated[row]:
                 with torch.no_grad():
                     beyond[row] = agent.critic(as_tensor(told["final_obs"][row]))[0]
@@ -130,6 +132,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--output", type=Path, default=Path("trained.json"))
     options = parser.parse_args()
+    if not options.output.absolute().parent.is_dir():  # it would be found out after the training
+        parser.error(f"there is no folder {options.output.parent}")
 
     torch.set_num_threads(1)  # for layers as small as these, others only get in the way
     torch.manual_seed(options.seed)

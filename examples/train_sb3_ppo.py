@@ -35,6 +35,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--output", type=Path, default=Path("trained.json"))
     options = parser.parse_args()
+    if not options.output.absolute().parent.is_dir():  # it would be found out after the training
+        parser.error(f"there is no folder {options.output.parent}")
 
     torch.set_num_threads(1)  # for layers as small as these, others only get in the way
     rows = Rows(f"nmes/{options.task}-v0", ROWS, options.seed, genome=options.genome, reward=options.reward)
