@@ -32,7 +32,7 @@ from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation.environments import AUTORESET, Autoreset
 from nmes.evaluation.judge import Result
 from nmes.evaluation.progress import Progress, read_reward
-from nmes.evaluation.seeding import RowSeeds, check_actions
+from nmes.evaluation.seeding import RowSeeds, check_actions, read_seeds
 from nmes.evaluation.steps import Rest
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
@@ -224,13 +224,14 @@ class RemoteEnvironments:
 
         Raises:
             ValueError: It is no address, there are no rows or no seeds, or not as many worlds as rows.
+            TypeError: A seed is no whole number.
             Disconnected, TimeoutError: The host cannot be reached.
             CommandFailed: It lets nobody in, or has no such world.
             WorldError: The creature may not take part; the reward cannot be read; the host has too few worlds
                 (`too_few_worlds`), or such as are not of the task (`wrong_world`, `unsupported`).
         """
         self.genome, self.task = genome, task
-        self._scenes = task.seeds if seeds is None else tuple(seeds)
+        self._scenes = task.seeds if seeds is None else read_seeds(seeds)
         if count < 1 or not self._scenes:
             raise ValueError(f"there must be 1 row and 1 seed or more, not {count} and {len(self._scenes)}")
         if autoreset not in AUTORESET:

@@ -36,7 +36,7 @@ from nmes.errors import RecordingError, WorldError
 from nmes.evaluation.episode import Entrant, set_scene
 from nmes.evaluation.judge import Observer, Result
 from nmes.evaluation.progress import Progress
-from nmes.evaluation.seeding import RowSeeds
+from nmes.evaluation.seeding import RowSeeds, read_seeds
 from nmes.evaluation.steps import perform
 from nmes.evaluation.task import Place, Task, TaskLike
 from nmes.genome import Genome
@@ -75,6 +75,7 @@ def parallel_env(
 
     Raises:
         ValueError: There are no genomes, or no seeds.
+        TypeError: A seed is no whole number.
         DocumentError: A genome or the task cannot be read.
         WorldError: A creature may not take part, or has no motors or no sensors.
         RecordingError: The folder cannot be made.
@@ -111,7 +112,7 @@ class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]
         record: str | os.PathLike[str] | None = None,
     ) -> None:
         """Checks who may take part; see `parallel_env`."""
-        seeds = task.seeds if seeds is None else seeds
+        seeds = task.seeds if seeds is None else read_seeds(seeds)
         if not genomes or not seeds:
             raise ValueError(f"there must be 1 genome and 1 seed or more, not {len(genomes)} and {len(seeds)}")
         reasons = [f"{name}: {reason}" for name, genome in genomes.items() for reason in task.check_driven(genome.body)]
@@ -123,7 +124,7 @@ class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]
         self.possible_agents = list(genomes)
         self.recording: Path | None = None
         self._spaces = {name: spaces.of(genome) for name, genome in genomes.items()}
-        self._seeds, self._record = tuple(seeds), None if record is None else folder_of(record)
+        self._seeds, self._record = seeds, None if record is None else folder_of(record)
         self._draws = RowSeeds(1)
         self._episode: _Episode | None = None
 

@@ -108,6 +108,7 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
         seed = int(seed) if isinstance(seed, np.integer) else seed
         super().reset(seed=seed if isinstance(seed, int) else None)
         observations = self._core.reset(self._seeds(seed), mask)
+        self.closed = False  # what was closed is there again, and is to be closed again
         self._begun |= mask
         infos: dict[str, Any] = {}
         for row in np.flatnonzero(mask).tolist():
@@ -155,8 +156,9 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
         self._core.record(row, path)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends all episodes."""
+        """Ends all episodes; `reset` begins the first once more."""
         self._core.close()
+        self._begun[:] = False
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
         """Returns the seed of each row; None where it goes on with the one it has, which it has had then."""

@@ -49,6 +49,18 @@ def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 # -- names ------------------------------------------------------------------------------------------------------------
 
 
+def test_a_vector_that_was_closed_begins_again() -> None:
+    envs = TaskVectorEnv(snake(), task(), 2)
+    envs.reset(seed=5)
+    envs.step(np.zeros(envs.action_space.shape))
+    envs.close()
+    envs.reset()
+    assert not envs.closed
+    envs.step(np.zeros(envs.action_space.shape))
+    envs.close()
+    assert envs.closed
+
+
 def test_each_task_that_ships_has_its_name() -> None:
     names = {name for name in gymnasium.registry if name.startswith("nmes/")}
     assert names == {f"nmes/{task}-v0" for task in DRIVEN} | {"nmes/creature-v0"}

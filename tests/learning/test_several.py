@@ -47,6 +47,13 @@ def still(env: CreaturesEnv) -> Actions:
     return {name: np.zeros(env.action_space(name).shape) for name in env.agents}
 
 
+@pytest.mark.parametrize("seeds", [np.arange(1, 3), [np.int64(1), np.int64(2)]])
+def test_seeds_may_be_whole_numbers_of_any_kind(seeds: Any) -> None:
+    env = parallel_env("walk", {"a": snake()}, seeds=seeds)
+    assert env.reset(seed=0)[1]["a"]["seed"] in (1, 2)
+    env.close()
+
+
 def test_a_seed_below_0_is_refused_and_the_episode_goes_on() -> None:
     env = parallel_env("walk", {"a": "walker"}, seeds=[3])
     env.reset(seed=1)
