@@ -260,7 +260,7 @@ def guesses(attack: Attack) -> None:
 
 
 def silence(attack: Attack) -> None:
-    """Sockets that say nothing, 2,000 at once, renewed as they are put out."""
+    """Sockets that say nothing, 900 at once, renewed as they are put out."""
     while attack.going:
         with ExitStack() as stack, suppress(OSError):
             for _ in range(900):

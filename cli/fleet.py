@@ -81,7 +81,7 @@ def status(hosts: tuple[str, ...], file: Path | None, timeout: float, as_json: b
 def _read(file: Path) -> list[tuple[str, int]]:
     """Returns the addresses in a file; empty lines and what stands behind # are none."""
     try:
-        lines = [line.partition("#")[0].strip() for line in file.read_text().splitlines()]
+        lines = [line.partition("#")[0].strip() for line in file.read_text("utf-8").splitlines()]
     except UnicodeDecodeError as error:
         raise click.UsageError(f"{file}: not a text in UTF-8") from error
     return [_address(line, f"{file}, line {number}: ") for number, line in enumerate(lines, 1) if line]

@@ -112,4 +112,4 @@ PAGES = {
 
 if __name__ == "__main__":
     for path, (titles, rows) in PAGES.items():
-        path.write_text(rewrite(path.read_text(), titles, rows()))
+        path.write_text(rewrite(path.read_text("utf-8"), titles, rows()), "utf-8")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
+import subprocess
 import threading
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from nmes.cli import main
 from nmes.errors import CommandFailed
 from nmes.protocol import DELIMITER
 from nmes.server.catalog import Catalog
+from processes import NMES
 from servers import PASSWORD, PATIENCE, served, until
 
 
@@ -120,6 +123,14 @@ def test_what_is_no_answer_is_told_as_such(answer: bytes) -> None:
         assert (host["error"], host["worlds"]) == (None, 0)
     else:
         assert host["error"], host
+
+
+def test_a_file_of_hosts_is_in_utf_8_whatever_the_locale(tmp_path: Path) -> None:
+    (tmp_path / "hosts").write_text("# those in Zürich\n", "utf-8")
+    ascii_alone = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [NMES, "fleet", "status", "--hosts", str(tmp_path / "hosts")]
+    asked = subprocess.run(command, env={**os.environ, **ascii_alone}, capture_output=True, text=True)
+    assert asked.returncode == 2 and "say which hosts" in asked.stderr, asked.stderr
 
 
 def test_hosts_come_from_a_file_too(tmp_path: Path) -> None:
