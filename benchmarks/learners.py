@@ -34,8 +34,8 @@ EPISODES, TESTS = 1200, 30  # of the cube: learned from, and tried
 STEPS, TRIED = 100_000, 20  # of Gymnasium's tasks: steps learned from, and episodes tried
 SEEDS, T95 = 10, 2.262  # Student's t for so many
 Z95 = 1.96
-# Those of RL Baselines3 Zoo, which Stable-Baselines3's policies are tuned with, as far as ours has them: docs/learning.md
-# says what differs.
+# Those of RL Baselines3 Zoo, which Stable-Baselines3's policies are tuned with, as far as ours has them:
+# docs/learning.md says what differs.
 OPTIONS = {
     "CartPole-v1": Ppo.Options(
         rows=8, ticks=32, rate=1e-3, epochs=20, batch=256, gamma=0.98, decay=0.8, normalise=False

@@ -11,7 +11,7 @@ import os
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from itertools import product
@@ -232,6 +232,16 @@ class Study:
         except UnicodeEncodeError as error:
             raise StudyError("no_study", f"{self.folder}: the name {error.object!r} is not in UTF-8") from error
 
+    def _named(self) -> Iterator[tuple[str, Collection[str]]]:
+        """Yields each place of the document that gives values to placeholders, with their names."""
+        document = self.document
+        yield "factors", document["factors"]
+        yield "settings", document["settings"]
+        for place, arm in enumerate(document["arms"]):
+            yield f"arms/{place}/settings", arm.get("settings", {})
+        for budget, each in document["budgets"].items():
+            yield f"budgets/{budget}/settings", each.get("settings", {})
+
     # -- what is judged beyond the schema ------------------------------------------------------------------------
 
     def _problems(self) -> Iterator[tuple[str, str]]:
@@ -246,6 +256,10 @@ class Study:
         for name, values in document["factors"].items():
             if len({isinstance(value, str) for value in values}) > 1:
                 yield f"factors/{name}", "its values must be all numbers or all words"
+        for path, names in self._named():
+            for name in _OWN:
+                if name in names:
+                    yield f"{path}/{name}", f"{{{name}}} is a placeholder of every command: give it another name"
         yield from self._command_problems()
         yield from self._column_problems()
         yield from self._value_problems()
