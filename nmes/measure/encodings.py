@@ -9,6 +9,7 @@ places, and both sides look until there is something new.
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import statistics
 import struct
@@ -17,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from types import ModuleType
@@ -43,7 +44,6 @@ _APART: Final = 3.0  # m between cubes
 _PUSH: Final = 4.0  # N at most
 _SIZE: Final = struct.Struct("<I")  # of what comes, before a frame of MessagePack
 _TICK: Final = 1.0 / 60.0  # s
-_PATIENCE: Final = 30.0  # s that the other process is given to end
 
 Force = tuple[float, float, float]
 Observed = tuple[float, ...]
@@ -277,6 +277,10 @@ class _Memory:
         self.force: Array = np.ndarray(3, np.float64, memory.buf, 16)
         self.states: Array = np.ndarray(_STATE * cubes, np.float64, memory.buf, 40)
 
+    def release(self) -> None:
+        """Lets go of the memory, which cannot be closed before; a frame that was interrupted may still know of this."""
+        del self.counts, self.force, self.states
+
     @staticmethod
     def size(cubes: int) -> int:
         """Returns how many bytes it takes."""
@@ -286,14 +290,13 @@ class _Memory:
 @contextmanager
 def _in_shared_memory(cubes: int) -> Iterator[_Caller]:
     memory = SharedMemory(create=True, size=_Memory.size(cubes))
+    shared = _Memory(memory, cubes)
     try:
         with _other(_serve_memory, cubes, memory.name) as pipe:
             pipe.recv()
             caller = _Caller()
-            places = [_Memory(memory, cubes)]
 
             def decide(force: Force) -> Observed:
-                (shared,) = places
                 shared.force[:] = force
                 shared.counts[0] += 1
                 while shared.counts[1] != shared.counts[0]:
@@ -302,14 +305,14 @@ def _in_shared_memory(cubes: int) -> Iterator[_Caller]:
 
             caller.decide = decide
             yield caller
-            places.pop().counts[0] = -1  # nothing may refer to the memory when it is closed
     finally:
+        shared.release()
         memory.close()
         memory.unlink()
 
 
 def _serve_memory(pipe: Connection, cubes: int, name: str) -> None:
-    """Does what comes through shared memory until the count is below zero."""
+    """Does what comes through shared memory, without end."""
     world, memory = _Place(cubes), SharedMemory(name)
     shared = _Memory(memory, cubes)
     pipe.send(True)
@@ -317,31 +320,31 @@ def _serve_memory(pipe: Connection, cubes: int, name: str) -> None:
     while True:
         while (asked := int(shared.counts[0])) == done:
             os.sched_yield()
-        if asked < 0:
-            break
         command = {"type": "apply_physics", "cube_name": "c0", "force": shared.force.tolist()}
         world.reply(Request(b"", command, None, command["type"]))
         world.tick()
         shared.states[:] = world.poses()[1].ravel()
         done = asked
         shared.counts[1] = done
-    del shared
-    memory.close()
 
 
 @contextmanager
 def _other(serve: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
-    """Runs a function in a process of its own, with a pipe to it."""
+    """Runs a function in a process of its own, with a pipe to it; the process ignores Ctrl-C, and is ended."""
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=serve, args=(theirs, *arguments), daemon=True)
-    process.start()
-    theirs.close()
+    resource_tracker.ensure_running()  # when a process starts it, it lets Ctrl-C through again
     try:
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        theirs.close()
         yield ours
     finally:
-        ours.close()
-        process.join(_PATIENCE)
         if process.is_alive():
-            process.kill()
+            process.kill()  # it has nothing to end in good order
             process.join()
+        ours.close()

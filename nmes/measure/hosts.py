@@ -247,7 +247,7 @@ def measure_decisions(seconds: float, seed: int) -> DecisionRates:
             began = began or time.perf_counter()
             _decide(client, name, draw)
             frames.append(event["frame"])
-            if (took := time.perf_counter() - began) >= seconds:
+            if (took := time.perf_counter() - began) >= seconds and len(frames) > 1:
                 break
     apart = [after - before for before, after in pairwise(frames)]
     return DecisionRates(lockstep, len(apart) / took, apart.count(1) / sum(apart))

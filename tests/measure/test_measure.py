@@ -22,7 +22,7 @@ from nmes.genome import Genome
 from nmes.learning.environment import TaskEnv
 from nmes.measure import encodings, installs, peers
 from nmes.measure.encodings import measure_encodings
-from nmes.measure.hosts import running_host
+from nmes.measure.hosts import measure_decisions, running_host
 from nmes.measure.installs import measure_installs
 from nmes.measure.turns import in_turns, ratio
 from processes import NMES
@@ -109,6 +109,10 @@ def test_decisions_are_counted_in_lockstep_and_in_real_time() -> None:
     assert found["real_time"] > 0  # 60 where all is in time; a world that was late catches up, with more
 
 
+def test_a_decision_that_takes_longer_than_the_time_for_all_is_measured() -> None:
+    assert 0.0 < measure_decisions(1e-9, 0).in_time <= 1.0
+
+
 def test_cubes_are_spawned_in_three_ways() -> None:
     found = measured("spawning", "--cubes", "12", "--connections", "3", "--rounds", "2")
     assert found.keys() == {"one", "many", "together", "one_over_many", "one_over_together"}
@@ -159,6 +163,17 @@ def test_all_channels_lead_to_the_same_states() -> None:
     assert found["alike"] is True and found["bytes"] > 3 * 13
     assert found["microseconds"].keys() == set(encodings.CHANNELS)
     assert measured(*asked)["digest"] == found["digest"] != measured(*asked, "--seed", "1")["digest"]
+
+
+def test_ctrl_c_ends_all_channels_without_a_traceback() -> None:
+    asked = [NMES, "measure", "encodings", "--rounds", "10000"]
+    with subprocess.Popen(asked, start_new_session=True, stdout=-1, stderr=-1) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        while process.poll() is None and len(children.read_text().split()) < 4:  # three, and what tracks their memory
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == 1 and told.splitlines()[-1:] == [b"Aborted!"] and b"Traceback" not in told, told
 
 
 def test_a_channel_that_leads_to_other_states_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -604,7 +604,7 @@ def test_an_arm_may_be_run_in_some_cells_alone_and_is_compared_where_both_are(tm
         (
             "minutes = 0.1",
             "minutes = 0.1\nsettings = { seed = 1 }",
-            "budgets/small/settings/seed: {seed} is a placeholder",
+            "budgets/small/settings/seed: {seed} is a",
         ),
         ("[settings]", "[settings", "is no TOML"),
         ('format = "nmes-study/1"', 'format = "nmes-study/9"', "format"),
