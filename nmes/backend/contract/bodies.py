@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmes.backend import BodyState, Heightfield, JointSpec, Planet, StaticBox
+from nmes.backend import Arena, BodyState, CameraSpec, Heightfield, JointSpec, Planet, StaticBox
 from nmes.backend.contract.base import (
     SUBSTEPS,
     TICK,
@@ -25,6 +25,7 @@ from nmes.backend.contract.base import (
     run,
     vector,
 )
+from nmes.errors import WorldError
 
 
 class BodyChecks(Checks):
@@ -299,6 +300,41 @@ class BodyChecks(Checks):
                 assert_close(
                     sim.body_state(1).position, (13.0 - G / 8, -9.0, 0.0), self.fall_error, "fall from the side"
                 )
+
+    def test_makes_arenas(self) -> None:
+        """Each arena has something to stand on where it begins, and is the same for the same values."""
+        self.need("scene.arena")
+        for name in ("bowl", "corridor", "gaps", "walls", "maze"):
+            digests = set()
+            for _ in range(2):
+                sim = self.sim(ground=False, arena=Arena(name, seed=1, length=40.0, width=4.0, cells=11))
+                sim.add_body(0, box((0.0, 1.0, 0.0), size=(0.3, 0.3, 0.3)))
+                run(sim, 2.0)
+                assert sim.body_state(0).position[1] > -0.5, f"falls through what is where a {name} begins"
+                digests.add(sim.digest())
+            assert len(digests) == 1, f"{name}: the same values make two arenas"
+
+    def test_draws_what_a_camera_sees(self) -> None:
+        """A picture has the size that was asked for and shows bodies in their colours; to draw changes nothing.
+
+        A machine without a renderer may refuse it as `unsupported`.
+        """
+        self.need("camera")
+        sim = self.sim()
+        sim.add_body(0, box((0.0, 0.5, 0.0)))
+        sim.step(SUBSTEPS)
+        before = sim.digest()
+        for strong in (0, 2):
+            color = (float(strong == 0), 0.0, float(strong == 2), 1.0)
+            try:
+                image = sim.draw(CameraSpec.looking_at((0.0, 0.5, 0.0), 0.5, (32, 24)), {0: color})
+            except WorldError as error:
+                assert error.code == "unsupported", f"refused with {error.code!r}"
+                raise unittest.SkipTest(error.message) from error
+            assert image.shape == (24, 32, 3) and image.dtype == np.uint8, f"{image.shape} of {image.dtype}"
+            seen = image[12, 16].tolist()
+            assert seen[strong] > seen[1] and seen[strong] > seen[2 - strong], f"of the colour {color} it shows {seen}"
+        assert sim.digest() == before, "to draw changes the world"
 
     def test_damps_free_bodies(self) -> None:
         """Velocities decay as exp(-c t), each kind with its own c, and an impulse counts in full when it comes."""

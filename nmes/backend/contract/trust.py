@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import subprocess
 import sys
 import threading
@@ -192,6 +193,56 @@ class TrustChecks(Checks):
                     execute(again, program[cut:])
                     assert again.digest() == future, f"program {seed}: restored at {cut}, another future"
                     assert np.array_equal(all_states(again, program), rows)
+
+    def test_tells_its_members(self) -> None:
+        """Bodies and joints are those that were added and not taken away, in a restored world too."""
+        self.need("snapshot")
+        for seed in range(3):
+            sim = self.sim()
+            bodies: dict[int, bool] = {}
+            joints: dict[int, tuple[str, int, int]] = {}
+            for name, arguments in random_program(self.backend(), seed):
+                execute(sim, [(name, arguments)])
+                number = arguments[0]
+                if name == "add_body":
+                    bodies[number] = arguments[1].frozen
+                elif name == "set_frozen":
+                    bodies[number] = arguments[1]
+                elif name == "add_joint":
+                    joints[number] = (arguments[1].kind, arguments[1].body1, arguments[1].body2)
+                elif name in ("remove_body", "remove_joint"):
+                    del (bodies if name == "remove_body" else joints)[number]
+                else:
+                    continue
+                assert sim.members() == (bodies, joints), f"program {seed}: after {name}"
+            again = self.sim()
+            again.restore(sim.snapshot())
+            assert again.members() == (bodies, joints), f"program {seed}: restored"
+
+    def test_survives_snapshots_of_anybody(self) -> None:
+        """Bytes that are cut are refused as `bad_snapshot`; those with another bit too, or are a world that goes on."""
+        self.need("snapshot")
+        program, draw = random_program(self.backend(), 0), random.Random(0)
+        sim = self.sim()
+        execute(sim, program[: len(program) * 2 // 3])
+        saved = sim.snapshot()
+        harmed = {f"the first {length} bytes": saved[:length] for length in (0, 1, len(saved) // 2, len(saved) - 1)}
+        for bit in draw.sample(range(8 * len(saved)), min(100, 8 * len(saved))):
+            at, mask = bit // 8, 1 << bit % 8
+            harmed[f"bit {bit}"] = saved[:at] + bytes([saved[at] ^ mask]) + saved[at + 1 :]
+        for what, snapshot in harmed.items():
+            again = self.sim()
+            try:
+                again.restore(snapshot)
+            except WorldError as error:
+                assert error.code == "bad_snapshot", f"{what}: refused with {error.code!r}"
+                continue
+            assert what.startswith("bit"), f"takes {what} for a whole snapshot"
+            try:
+                again.step(SUBSTEPS)
+            except SimulationFault:
+                continue  # loud, as of any world that cannot go on
+            assert np.isfinite(again.states(list(again.members()[0]))).all(), f"{what}: shows what is no number"
 
     def test_faults_when_it_diverges(self) -> None:
         """A world that cannot go on says so, shows the state before, and takes no other world with it."""
