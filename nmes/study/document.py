@@ -256,9 +256,9 @@ class Study:
         for name, values in document["factors"].items():
             if len({isinstance(value, str) for value in values}) > 1:
                 yield f"factors/{name}", "its values must be all numbers or all words"
-        for path, names in self._named():
+        for path, named in self._named():
             for name in _OWN:
-                if name in names:
+                if name in named:
                     yield f"{path}/{name}", f"{{{name}}} is a placeholder of every command: give it another name"
         yield from self._command_problems()
         yield from self._column_problems()

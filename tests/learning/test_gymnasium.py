@@ -52,11 +52,11 @@ def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 def test_a_vector_that_was_closed_begins_again() -> None:
     envs = TaskVectorEnv(snake(), task(), 2)
     envs.reset(seed=5)
-    envs.step(np.zeros(envs.action_space.shape))
+    envs.step(np.zeros((2, len(envs.motors))))
     envs.close()
     envs.reset()
     assert not envs.closed
-    envs.step(np.zeros(envs.action_space.shape))
+    envs.step(np.zeros((2, len(envs.motors))))
     envs.close()
     assert envs.closed
 
