@@ -73,7 +73,7 @@ def test_a_run_holds_its_documents_and_names_none(place: str, tmp_path: Path) ->
     (folder / "run.json").write_bytes(write_json(document))
     for command in ("show", "resume", "verify", "best"):
         result = run("evolve", command, folder)
-        assert result.exit_code == 1 and "must be the document itself" in result.output
+        assert result.exit_code == 2 and "must be the document itself" in result.output
 
 
 @pytest.mark.parametrize("place", ["task", "genome"])
@@ -83,7 +83,7 @@ def test_a_run_of_learning_holds_its_documents_and_names_none(place: str, tmp_pa
     (folder / "run.json").write_bytes(write_json({**document, place: LEARNING[place]}))
     for command in ("show", "resume", "verify"):
         result = run("learn", command, folder)
-        assert result.exit_code == 1 and f"{place}: must be the document itself" in result.output
+        assert result.exit_code == 2 and f"{place}: must be the document itself" in result.output
 
 
 @pytest.mark.parametrize("content", [b"notes that nobody else has", b'{"mine":1}', b""])
@@ -146,7 +146,7 @@ def test_a_run_of_what_is_no_file_is_not_waited_for(make: Callable[[Path], None]
         make(folder / name)
         for command in ("show", "resume", "verify"):
             result = run(kind, command, folder)
-            assert result.exit_code == 1 and "it is no regular file" in result.output
+            assert result.exit_code == 2 and "it is no regular file" in result.output
 
 
 @pytest.mark.parametrize("make", [pipe, endless])
