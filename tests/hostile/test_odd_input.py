@@ -52,7 +52,7 @@ def test_a_study_with_a_key_of_very_many_parts_is_not_read(tmp_path: Path) -> No
     file = folder / "study.toml"
     file.write_text(f"{'.'.join('a' * 20_000)} = 1\n{file.read_text()}")
     result = run("study", "report", folder)
-    assert result.exit_code == 1 and "a line has over 200 points" in result.output
+    assert result.exit_code == 2 and "a line has over 200 points" in result.output
 
 
 @pytest.mark.parametrize("row", [b'{"kind":[],"message":1}', b'{"kind":{},"message":{}}', b'{"kind":1,"message":1}'])
