@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import partial
+from contextlib import suppress
+from functools import cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import orjson
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from boards import DASH, entries_of, run
 from creatures import snake
 from modelled import modelled
-from nmes.errors import ProofError
+from nmes.errors import NmesError, ProofError
 from nmes.evaluation import Episode, Task, prove
 from nmes.evaluation.episode import METADATA, brain_of
 from nmes.evaluation.proof import retrace
 from nmes.evaluation.steps import Drive
 from nmes.genome import Genome
 from nmes.playback import replay
+from nmes.protocol import COMMANDS as COMMAND_SCHEMAS
 from nmes.protocol import parse
 from nmes.recording import Recorder
 from nmes.world import World
+from nmes.world.journal import Journal
 from recordings import Edit, Line, changed, commands_of, rewrite
 
 Change = Callable[[dict[str, Any]], dict[str, Any]]
@@ -91,27 +97,29 @@ def record(
     recorder = world.journal = Recorder(path, world, about=about)
     episode, client = Episode(world, genome, brain_of(genome), task, seed), world.join()
     stranger = None
-    for number, step in enumerate(episode.steps()):
-        client = (breaks or {}).get(number, stay)(world, client)
-        if number in extra:
-            stranger = world.join() if other else client
-            world.execute(stranger, extra[number])
-        if step is None:
-            world.tick()
-        elif isinstance(step, Drive):
-            assert isinstance(step.controls, np.ndarray)
-            step.controls[0] += nudge
-            if layout is None:
-                world.drive(client, step.creature, step.controls)
+    try:
+        for number, step in enumerate(episode.steps()):
+            client = (breaks or {}).get(number, stay)(world, client)
+            if number in extra:
+                stranger = world.join() if other else client
+                world.execute(stranger, extra[number])
+            if step is None:
+                world.tick()
+            elif isinstance(step, Drive):
+                assert isinstance(step.controls, np.ndarray)
+                step.controls[0] += nudge
+                if layout is None:
+                    world.drive(client, step.creature, step.controls)
+                else:
+                    drive = {"type": "drive", "creature": step.creature, "controls": step.controls.tolist()}
+                    world.execute(client, {**drive, "layout": layout})
             else:
-                drive = {"type": "drive", "creature": step.creature, "controls": step.controls.tolist()}
-                world.execute(client, {**drive, "layout": layout})
-        else:
-            command = change(json.loads(step))
-            world.handle(client, parse(step if command == json.loads(step) else json.dumps(command).encode()))
-    world.leave(client)
-    recorder.close()
-    world.close()
+                command = change(json.loads(step))
+                world.handle(client, parse(step if command == json.loads(step) else json.dumps(command).encode()))
+        world.leave(client)
+    finally:
+        recorder.close()
+        world.close()
     return path
 
 
@@ -204,6 +212,92 @@ def test_a_leaderboard_lists_no_creature_whose_world_slept(tmp_path: Path) -> No
     refused = run("add", board, *made)
     assert refused.exit_code == 1 and "it has a sleep after its client left" in refused.stderr
     assert entries_of(board) == []
+
+
+# -- anything that can be recorded, anywhere --------------------------------------------------------------------------
+
+# What the examples of the protocol are about is something of the creature's here.
+OURS = {"rocker": "creature", "arm": "c1", "joint_1": "creature.j0", "leg": "creature.c1"}
+OURS |= dict.fromkeys(("walker", "body", "torso", "head"), "creature.c0")
+
+
+def ours(value: Any) -> Any:
+    """Returns an example of the protocol as it is about the creature."""
+    if isinstance(value, dict):
+        return {key: ours(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [ours(each) for each in value]
+    return OURS.get(value, value) if isinstance(value, str) else value
+
+
+def send(world: World, client: int, frame: bytes) -> int:
+    """Has a client send a frame."""
+    world.handle(client, parse(frame))
+    return client
+
+
+def tick(world: World, client: int) -> int:
+    """Lets time go on."""
+    world.tick()
+    return client
+
+
+def break_down(world: World, client: int) -> int:
+    """Has the world stop with a fault at its next tick."""
+    push = {"type": "apply_physics", "cube_name": "creature.c0", "impulse": [1e15, 1e15, 1e15]}
+    return tick(world, send(world, client, orjson.dumps(push)))
+
+
+EXAMPLES = [orjson.dumps(ours(each)) for command in COMMAND_SCHEMAS.values() for each in command.schema["examples"]]
+FRAMES = st.sampled_from([*EXAMPLES, *(orjson.dumps(each) for each in COMMANDS)])
+SENDERS = st.sampled_from([stay, let_in, come_back, lambda world, _client: world.join()])
+SAY = st.tuples(SENDERS, FRAMES).map(lambda said: lambda world, client: send(world, said[0](world, client), said[1]))
+DEEDS: dict[str, st.SearchStrategy[Break]] = {
+    "joined": st.just(let_in),
+    "left": st.just(come_back),
+    "received": SAY,
+    "replied": SAY,
+    "ticked": st.just(tick),
+    "hibernated": st.just(sleep),
+    "faulted": st.just(break_down),
+}
+"""What makes a world tell its journal something, by the journal's method."""
+OF_OTHER_CONFIGS = {"lived", "keyframe"}  # than a task's, which a proof looks at first: see above
+
+
+@cache
+def honest_score() -> float:
+    """Returns what the episode is worth in which nothing else happens."""
+    with TemporaryDirectory() as folder:
+        score = prove(record(Path(folder) / "x.mcap", {}, extra={})).result.score
+    assert score is not None
+    return score
+
+
+def check_that_nothing_is_gained(deeds: dict[int, Break]) -> None:
+    """Checks that an episode on whose way more happens proves nothing, or what it is worth without."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "x.mcap"
+        with suppress(NmesError, LookupError):  # where an honest evaluation cannot go on, the recording ends
+            record(path, {}, extra={}, breaks=deeds)
+        try:
+            score = prove(path).result.score
+        except ProofError:
+            return
+    assert score == honest_score()
+
+
+def test_there_is_a_deed_for_all_that_a_world_tells_its_journal() -> None:
+    assert {*DEEDS, *OF_OTHER_CONFIGS} == {name for name in vars(Journal) if not name.startswith("_")}
+
+
+PLACES = st.integers(0, 90)  # steps of an episode: at rest at about 32
+
+
+@settings(max_examples=100)
+@given(st.dictionaries(PLACES, st.sampled_from([*DEEDS]).flatmap(DEEDS.__getitem__), min_size=1, max_size=3))
+def test_whatever_happens_on_the_way_no_other_score_is_proved(deeds: dict[int, Break]) -> None:
+    check_that_nothing_is_gained(deeds)
 
 
 # -- what a model may round otherwise ---------------------------------------------------------------------------------
