@@ -12,13 +12,13 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from hostile_servers import listening
 from nmes.cli import main
 from nmes.protocol import DELIMITER, parse
 from nmes.recording import Kind, Recorder, Recording
@@ -124,36 +124,20 @@ def test_odd_messages_are_played_to_a_server(topic: str, despawn_file: Path, tmp
                 assert code == 1, (word, text)
 
 
-@contextmanager
-def odd_server(word: bytes) -> Iterator[int]:
-    """Lets everybody in, and answers all else with the same words."""
-    listening = socket.create_server(("127.0.0.1", 0))
+def odd_server(word: bytes) -> AbstractContextManager[int]:
+    """Runs a server that lets everybody in, and answers all else with the same words; gives its port."""
 
     def answer(peer: socket.socket) -> None:
         known, waiting = False, b""
-        with peer:
-            while data := peer.recv(1 << 16):
-                *frames, waiting = (waiting + data).split(DELIMITER)
-                for frame in frames:
-                    number = json.loads(frame).get("id")
-                    said = b'{"id":%d,%b' % (number, word[1:]) if known else b'{"type":"auth_success","client":1}'
-                    known = True
-                    peer.sendall(said.replace(b",}", b"}") + DELIMITER)
+        while data := peer.recv(1 << 16):
+            *frames, waiting = (waiting + data).split(DELIMITER)
+            for frame in frames:
+                number = json.loads(frame).get("id")
+                said = b'{"id":%d,%b' % (number, word[1:]) if known else b'{"type":"auth_success","client":1}'
+                known = True
+                peer.sendall(said.replace(b",}", b"}") + DELIMITER)
 
-    def listen() -> None:
-        while True:
-            try:
-                peer, _ = listening.accept()
-            except OSError:
-                return
-            threading.Thread(target=answer, args=(peer,), daemon=True).start()
-
-    threading.Thread(target=listen, daemon=True).start()
-    try:
-        yield listening.getsockname()[1]
-    finally:
-        listening.shutdown(socket.SHUT_RDWR)
-        listening.close()
+    return listening(answer)
 
 
 @pytest.mark.parametrize("odd", [odd for odd in ODD if odd not in ("no object", "no JSON")])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import socket
-import threading
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ import pytest
 import zstandard
 
 from command_line import run
+from hostile_servers import listening
 from nmes.cli import _logs
 from nmes.client import Client
 from nmes.client.address import read_address
@@ -148,23 +148,12 @@ def test_a_client_tells_of_a_host_whose_name_cannot_be_looked_up() -> None:
 def answering(*answers: object) -> Iterator[str]:
     """Serves each connection with the same answers to its first message; yields the address."""
 
-    def serve() -> None:
-        while True:
-            try:
-                connection, _ = listener.accept()
-            except OSError:
-                return
-            with connection:
-                connection.recv(1 << 16)
-                connection.sendall(b"".join(write_json(answer) + DELIMITER for answer in answers))
-                connection.recv(1 << 16)
+    def answer(connection: socket.socket) -> None:
+        connection.recv(1 << 16)
+        connection.sendall(b"".join(write_json(each) + DELIMITER for each in answers))
 
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        thread = threading.Thread(target=serve, daemon=True)
-        thread.start()
-        yield f"127.0.0.1:{listener.getsockname()[1]}"
-        listener.shutdown(socket.SHUT_RDWR)
-    thread.join()
+    with listening(answer) as port:
+        yield f"127.0.0.1:{port}"
 
 
 WORLD = {
