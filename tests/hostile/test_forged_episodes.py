@@ -14,10 +14,10 @@ import numpy as np
 import orjson
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from boards import DASH, entries_of, run
 from creatures import snake
+from deeds import Deed, come_back, commands_about, deeds_about, deeds_at, let_in, sleep, stay
 from modelled import modelled
 from nmes.errors import NmesError, ProofError
 from nmes.evaluation import Episode, Task, prove
@@ -26,7 +26,6 @@ from nmes.evaluation.proof import retrace
 from nmes.evaluation.steps import Drive
 from nmes.genome import Genome
 from nmes.playback import replay
-from nmes.protocol import COMMANDS as COMMAND_SCHEMAS
 from nmes.protocol import parse
 from nmes.recording import Recorder
 from nmes.world import World
@@ -34,32 +33,6 @@ from nmes.world.journal import Journal
 from recordings import Edit, Line, changed, commands_of, rewrite
 
 Change = Callable[[dict[str, Any]], dict[str, Any]]
-Break = Callable[[World, int], int]  # takes the client who drives, and returns who does from then on
-
-
-def stay(_world: World, client: int) -> int:
-    """Changes nothing."""
-    return client
-
-
-def come_back(world: World, client: int) -> int:
-    """Has the client leave, and come again at once."""
-    world.leave(client)
-    return world.join()
-
-
-def sleep(world: World, client: int) -> int:
-    """Has the world sleep meanwhile: what it is made of then is new."""
-    world.leave(client)
-    world.hibernate()
-    world.wake()
-    return world.join()
-
-
-def let_in(world: World, client: int) -> int:
-    """Lets somebody in who looks on."""
-    world.join()
-    return client
 
 
 def record(
@@ -73,7 +46,7 @@ def record(
     limits: dict[str, Any] | None = None,
     creature: dict[str, Any] | None = None,
     nudge: float = 0.0,
-    breaks: dict[int, Break] | None = None,
+    breaks: dict[int, Deed] | None = None,
     seed: int = 3,
 ) -> Path:
     """Records an episode, of which every reply and every digest is true.
@@ -147,22 +120,8 @@ def test_an_episode_in_another_world_is_none_of_the_task(tmp_path: Path, config:
         prove(record(tmp_path / "x.mcap", config, extra={}))
 
 
-COMMANDS: list[dict[str, Any]] = [
-    {"type": "set_cube_state", "cube_name": "creature.c0", "linear_velocity": [9, 0, 0]},
-    {"type": "apply_physics", "cube_name": "creature.c0", "impulse": [9, 0, 0]},
-    {"type": "freeze_cube", "cube_name": "creature.c0", "freeze": True},
-    {"type": "drive", "creature": "creature", "controls": [1, 1, 1]},
-    {"type": "set_joint_param", "joint_name": "creature.j0", "param_name": "motor_max_force", "value": 1000},
-    {"type": "spawn_cube"},
-    {"type": "step"},
-    {"type": "batch", "commands": [{"type": "step"}]},
-    {"type": "ping"},
-    {"type": "nonsense"},
-]
-
-
 @pytest.mark.parametrize("other", [False, True], ids=["its client", "another client"])
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: str(command["type"]))
+@pytest.mark.parametrize("command", commands_about("creature"), ids=lambda command: str(command["type"]))
 def test_a_command_that_no_evaluation_gives_is_found(tmp_path: Path, command: dict[str, Any], other: bool) -> None:
     for number in (1, 3, 40):
         path = record(tmp_path / f"{number}.mcap", {}, extra={number: command}, other=other)
@@ -194,7 +153,7 @@ def test_a_scene_that_is_set_otherwise_is_found(tmp_path: Path, change: dict[str
     ],
 )
 def test_a_world_that_is_left_or_sleeps_on_the_way_proves_nothing(
-    tmp_path: Path, interrupt: Break, found: str, number: int, brain: bool
+    tmp_path: Path, interrupt: Deed, found: str, number: int, brain: bool
 ) -> None:
     made = record(tmp_path / "x.mcap", {}, extra={}, breaks={number: interrupt})
     assert replay(made).verdict == "reproduced"
@@ -216,52 +175,6 @@ def test_a_leaderboard_lists_no_creature_whose_world_slept(tmp_path: Path) -> No
 
 # -- anything that can be recorded, anywhere --------------------------------------------------------------------------
 
-# What the examples of the protocol are about is something of the creature's here.
-OURS = {"rocker": "creature", "arm": "c1", "joint_1": "creature.j0", "leg": "creature.c1"}
-OURS |= dict.fromkeys(("walker", "body", "torso", "head"), "creature.c0")
-
-
-def ours(value: Any) -> Any:
-    """Returns an example of the protocol as it is about the creature."""
-    if isinstance(value, dict):
-        return {key: ours(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [ours(each) for each in value]
-    return OURS.get(value, value) if isinstance(value, str) else value
-
-
-def send(world: World, client: int, frame: bytes) -> int:
-    """Has a client send a frame."""
-    world.handle(client, parse(frame))
-    return client
-
-
-def tick(world: World, client: int) -> int:
-    """Lets time go on."""
-    world.tick()
-    return client
-
-
-def break_down(world: World, client: int) -> int:
-    """Has the world stop with a fault at its next tick."""
-    push = {"type": "apply_physics", "cube_name": "creature.c0", "impulse": [1e15, 1e15, 1e15]}
-    return tick(world, send(world, client, orjson.dumps(push)))
-
-
-EXAMPLES = [orjson.dumps(ours(each)) for command in COMMAND_SCHEMAS.values() for each in command.schema["examples"]]
-FRAMES = st.sampled_from([*EXAMPLES, *(orjson.dumps(each) for each in COMMANDS)])
-SENDERS = st.sampled_from([stay, let_in, come_back, lambda world, _client: world.join()])
-SAY = st.tuples(SENDERS, FRAMES).map(lambda said: lambda world, client: send(world, said[0](world, client), said[1]))
-DEEDS: dict[str, st.SearchStrategy[Break]] = {
-    "joined": st.just(let_in),
-    "left": st.just(come_back),
-    "received": SAY,
-    "replied": SAY,
-    "ticked": st.just(tick),
-    "hibernated": st.just(sleep),
-    "faulted": st.just(break_down),
-}
-"""What makes a world tell its journal something, by the journal's method."""
 OF_OTHER_CONFIGS = {"lived", "keyframe"}  # than a task's, which a proof looks at first: see above
 
 
@@ -274,7 +187,7 @@ def honest_score() -> float:
     return score
 
 
-def check_that_nothing_is_gained(deeds: dict[int, Break]) -> None:
+def check_that_nothing_is_gained(deeds: dict[int, Deed]) -> None:
     """Checks that an episode on whose way more happens proves nothing, or what it is worth without."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"
@@ -288,15 +201,12 @@ def check_that_nothing_is_gained(deeds: dict[int, Break]) -> None:
 
 
 def test_there_is_a_deed_for_all_that_a_world_tells_its_journal() -> None:
-    assert {*DEEDS, *OF_OTHER_CONFIGS} == {name for name in vars(Journal) if not name.startswith("_")}
-
-
-PLACES = st.integers(0, 90)  # steps of an episode: at rest at about 32
+    assert {*deeds_about("creature"), *OF_OTHER_CONFIGS} == {name for name in vars(Journal) if not name.startswith("_")}
 
 
 @settings(max_examples=100)
-@given(st.dictionaries(PLACES, st.sampled_from([*DEEDS]).flatmap(DEEDS.__getitem__), min_size=1, max_size=3))
-def test_whatever_happens_on_the_way_no_other_score_is_proved(deeds: dict[int, Break]) -> None:
+@given(deeds_at("creature", 90))  # steps: at rest at about 32
+def test_whatever_happens_on_the_way_no_other_score_is_proved(deeds: dict[int, Deed]) -> None:
     check_that_nothing_is_gained(deeds)
 
 

@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
 
 from creatures import snake
+from deeds import Deed, deeds_at, sleep, stay
 from duels import DUEL, duel, push, roles
 from modelled import modelled
 from nmes.errors import DocumentError, NmesError, ProofError
@@ -37,7 +42,7 @@ def record(
     task: MatchTask | None = None,
     nudge: str | None = None,
     before: Sequence[dict[str, Any]] = (),
-    sleeps: int | None = None,
+    breaks: dict[int, Deed] | None = None,
 ) -> Path:
     """Records a match of half a second that says of itself what it is not.
 
@@ -49,7 +54,7 @@ def record(
         task: The task, if it is another.
         nudge: Who is driven otherwise than by its brain.
         before: What was done in the world before it was recorded.
-        sleeps: The tick before which the world sleeps.
+        breaks: What else happens, by the number of the step before which it does.
     """
     task = task or duel(duration=0.5)
     world = World({**task.world_config(3), **(config or {})})
@@ -59,30 +64,25 @@ def record(
         assert done is not None and world.execute(done, command)["type"] != "error"
     recorder = world.journal = Recorder(path, world, about=about)
     match = Match(world, PLAYERS, {role: brain_of(genome) for role, genome in PLAYERS.items()}, task, 3)
-    client, ticks = world.join() if done is None else done, 0
+    client = world.join() if done is None else done
     try:
         waiting: list[Drive] = []
-        for step in match.steps():
+        for number, step in enumerate(match.steps()):
+            client = (breaks or {}).get(number, stay)(world, client)
             if isinstance(step, Drive):
                 assert isinstance(step.controls, np.ndarray)
                 step.controls[0] += 1e-7 * (step.creature == nudge)
                 waiting.append(step)
-                continue
-            for drive in reversed(waiting) if swap else waiting:
-                world.drive(client, drive.creature, drive.controls)
-            waiting.clear()
-            if step is None:
-                if ticks == sleeps:
-                    world.leave(client)
-                    world.hibernate()
-                    world.wake()
-                    client = world.join()
-                ticks += 1
+                if not swap or len(waiting) == len(PLAYERS):
+                    for drive in reversed(waiting):
+                        world.drive(client, drive.creature, drive.controls)
+                    waiting.clear()
+            elif step is None:
                 world.tick()
             else:
                 world.handle(client, parse(step))
-    finally:
         world.leave(client)
+    finally:
         recorder.close()
         world.close()
     return path
@@ -165,9 +165,9 @@ def test_a_match_in_a_world_in_which_something_stood_before_proves_nothing(tmp_p
 
 
 @pytest.mark.parametrize("brain", [True, False])
-@pytest.mark.parametrize("tick", [5, 30], ids=["coming to rest", "driven"])
-def test_a_match_whose_world_sleeps_proves_nothing(tmp_path: Path, tick: int, brain: bool) -> None:
-    made = record(tmp_path / "x.mcap", {}, sleeps=tick)
+@pytest.mark.parametrize("number", [9, 60], ids=["coming to rest", "driven"])
+def test_a_match_whose_world_sleeps_proves_nothing(tmp_path: Path, number: int, brain: bool) -> None:
+    made = record(tmp_path / "x.mcap", {}, breaks={number: sleep})
     assert replay(made).verdict == "reproduced"
     with pytest.raises(ProofError, match="it has a sleep after its client left") as error:
         prove_match(made, brain=brain)
@@ -180,6 +180,33 @@ def test_a_match_of_a_body_that_may_not_play_proves_nothing(tmp_path: Path, brai
     made = record(tmp_path / "x.mcap", {}, task=light)
     with pytest.raises(ProofError, match="red: the body has"):
         prove_match(made, brain=brain)
+
+
+# -- anything that can be recorded, anywhere --------------------------------------------------------------------------
+
+
+@cache
+def honest_scores() -> dict[str, float | None]:
+    """Returns what the match is worth to each role in which nothing else happens."""
+    with TemporaryDirectory() as folder:
+        results = prove_match(record(Path(folder) / "x.mcap", {})).results
+    scores = {role: result.score for role, result in results.items()}
+    assert None not in scores.values()
+    return scores
+
+
+@settings(max_examples=100)
+@given(deeds_at("blue", 120))  # steps: at rest at 21
+def test_whatever_happens_on_the_way_no_other_scores_are_proved(deeds: dict[int, Deed]) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "x.mcap"
+        with suppress(NmesError, LookupError):  # where an honest match cannot go on, the recording ends
+            record(path, {}, breaks=deeds)
+        try:
+            results = prove_match(path).results
+        except ProofError:
+            return
+    assert {role: result.score for role, result in results.items()} == honest_scores()
 
 
 def mangled(value: Any, draw: random.Random) -> Any:
