@@ -365,10 +365,14 @@ class _Checker(Generic[R]):
         """Returns the result.
 
         Raises:
-            ProofError: The recording ends before it does (`damaged`), or a model did otherwise (`not_comparable`).
+            ProofError: The recording ends before its steps are done, or before its client left (`damaged`), or a model
+                did otherwise (`not_comparable`).
         """
         if self._run is None or not self._over:
             raise ProofError("damaged", "the recording ends before the episode does")
+        # Or its last tick may be one within a command that was never answered, and so never shown and compared.
+        if not self._left:
+            raise ProofError("damaged", "the recording ends before its client left")
         if self._rounded is not None:
             raise self._rounded
         return self._run

@@ -167,8 +167,8 @@ class _RecordingReplay(Journal):
             if (record := records.peek()) is not None and record.kind is Kind.KEYFRAME:
                 next(records)  # with which the world began
             while not self._over and (record := records.peek()) is not None and not self._reached(record):
-                if record.kind is Kind.COMMAND and records.peek(1) is None:
-                    break  # the file was cut behind it: nothing says what came of it, and a `step` would tick unseen
+                if record.kind in (Kind.COMMAND, Kind.REFUSED) and records.peek(1) is None:
+                    break  # the file was cut behind it: nothing says what came of it, which nothing would compare
                 calls = self._calls
                 apply_input(world, record, records.peek(1) if record.kind is Kind.REFUSED else None)
                 if self._mistake is not None:
@@ -223,7 +223,12 @@ class _RecordingReplay(Journal):
     def received(self, client: int, request: Request) -> None:
         """A frame is executed next: the one that was just fed."""
         self._calls += 1
-        next(self._walk)
+        record = next(self._walk)
+        if (record.kind is Kind.REFUSED) != (request.error is not None):
+            good, bad = "a command", "no command"
+            was, now = (bad, good) if record.kind is Kind.REFUSED else (good, bad)
+            message = f"client {client}'s frame (record {record.sequence}) was {was}, and is {now} now"
+            self._diverge("order", record, message, client, request.type)
 
     def replied(self, client: int, request: Request, reply: bytes) -> None:
         """A frame was answered."""
@@ -335,7 +340,7 @@ class _RecordingReplay(Journal):
         boxes = self._recorded_boxes()
         scene = self._recorded_view(Kind.SCENE)
         poses = self._recorded_view(Kind.POSES)
-        if poses is None:
+        if poses is None and self._walk.peek() is None:
             return  # cut between the two
         view = self._painter.draw(self._painter.look())
         if self._unseen:
@@ -344,7 +349,7 @@ class _RecordingReplay(Journal):
         # Not every cube has a box of its own in the file, nor has every file: the scene has them all.
         if (scene, poses) != (view.scene, view.poses) or not boxes.items() <= view.boxes.items():
             self._diverge("poses", first, f"at frame {self._world.frame} viewers are shown something else")
-            self._show(pose_difference(poses, view.poses))
+            self._show(None if poses is None else pose_difference(poses, view.poses))
 
     def _recorded_boxes(self) -> dict[str, bytes]:
         boxes: dict[str, bytes] = {}

@@ -177,6 +177,7 @@ def played(target: Path, seed: int, meddle: Any) -> Path:
     for tick in range(dash.ticks):
         meddle(world, client, tick)
         world.tick()
+    world.leave(client)
     recorder.close()
     world.close()
     return target

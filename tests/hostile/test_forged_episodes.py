@@ -17,7 +17,7 @@ from hypothesis import given, settings
 
 from boards import DASH, entries_of, run
 from creatures import snake
-from deeds import Deed, come_back, commands_about, deeds_about, deeds_at, let_in, sleep, stay
+from deeds import STEP, Deed, batch_of, come_back, commands_about, deeds_about, deeds_at, hiding, let_in, sleep, stay
 from modelled import modelled
 from nmes.errors import NmesError, ProofError
 from nmes.evaluation import Episode, Task, prove
@@ -163,6 +163,24 @@ def test_a_world_that_is_left_or_sleeps_on_the_way_proves_nothing(
         assert error.value.code == "diverged"
 
 
+@pytest.mark.parametrize("told", [0, 1, 2], ids=["before it", "once it is received", "after its tick"])
+def test_an_episode_whose_last_tick_is_within_a_command_proves_nothing(tmp_path: Path, told: int) -> None:
+    pushed = {"type": "apply_physics", "cube_name": "creature.c0", "impulse": [9, 0, 0]}
+    made = record(tmp_path / "x.mcap", {}, extra={}, breaks={91: hiding(batch_of(pushed, STEP), told)})
+    assert replay(made).verdict == "reproduced"
+    for prover in (prove, partial(prove, brain=True), retrace):
+        with pytest.raises(ProofError, match="the recording ends before") as error:
+            prover(made)
+        assert error.value.code == "damaged"
+
+
+def test_an_episode_that_nobody_leaves_proves_nothing(tmp_path: Path) -> None:
+    made = record(tmp_path / "x.mcap", {}, extra={}, breaks={91: hiding(stay, 1)})
+    assert replay(made).verdict == "reproduced"
+    with pytest.raises(ProofError, match="the recording ends before its client left"):
+        prove(made)
+
+
 def test_a_leaderboard_lists_no_creature_whose_world_slept(tmp_path: Path) -> None:
     board, task = tmp_path / "board.sqlite", tmp_path / "dash.json"
     task.write_text(json.dumps(DASH))
@@ -205,7 +223,7 @@ def test_there_is_a_deed_for_all_that_a_world_tells_its_journal() -> None:
 
 
 @settings(max_examples=100)
-@given(deeds_at("creature", 90))  # steps: at rest at about 32
+@given(deeds_at("creature", 91))  # steps: at rest at about 32
 def test_whatever_happens_on_the_way_no_other_score_is_proved(deeds: dict[int, Deed]) -> None:
     check_that_nothing_is_gained(deeds)
 

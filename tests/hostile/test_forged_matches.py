@@ -196,7 +196,7 @@ def honest_scores() -> dict[str, float | None]:
 
 
 @settings(max_examples=100)
-@given(deeds_at("blue", 120))  # steps: at rest at 21
+@given(deeds_at("blue", 110))  # steps: at rest at 21
 def test_whatever_happens_on_the_way_no_other_scores_are_proved(deeds: dict[int, Deed]) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"

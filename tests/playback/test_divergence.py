@@ -10,6 +10,10 @@ import orjson
 import pytest
 
 from nmes.playback import replay
+from nmes.protocol import Request
+from nmes.recording import Kind
+from nmes.recording.records import said_by, who_said
+from nmes.world import World
 from recordings import Line, busy, changed, commands_of, divergence, first, record, rewrite
 
 
@@ -135,6 +139,56 @@ def test_a_changed_picture_is_found(busy_file: Path, tmp_path: Path) -> None:
             return changed(lines, at, lines[at].data.replace(b"two", b"owt"))
 
         assert divergence(busy_file, tmp_path, edit).kind == "poses"
+
+
+def test_a_picture_of_which_a_part_is_missing_is_found(busy_file: Path, tmp_path: Path) -> None:
+    def lone(lines: list[Line]) -> list[Line]:
+        at = next(i for i, line in enumerate(lines) if line.topic == "ticks" and lines[i + 1].topic == "replies")
+        return [*lines[: at + 1], Line("/scene", lines[at].log_time, b"a scene that never was"), *lines[at + 1 :]]
+
+    assert divergence(busy_file, tmp_path, lone).kind == "poses"
+
+    def cut(lines: list[Line]) -> list[Line]:
+        return lines[: first(lines, "/tf")]
+
+    assert replay(rewrite(busy_file, tmp_path / "cut.mcap", cut)).verdict == "reproduced"
+
+
+def test_a_frame_is_refused_as_the_recording_says(busy_file: Path, tmp_path: Path) -> None:
+    def refuse(lines: list[Line]) -> list[Line]:
+        at = commands_of(lines)[0]
+        client, frame = who_said(lines[at].data)
+        as_refused = Line("refused", lines[at].log_time, client.to_bytes(4, "little") + frame)
+        return [*lines[:at], as_refused, *lines[at + 1 :]]
+
+    def take(lines: list[Line]) -> list[Line]:
+        at = first(lines, "refused")
+        data = lines[at].data
+        as_command = Line("commands", lines[at].log_time, said_by(int.from_bytes(data[:4], "little"), data[4:]))
+        return [*lines[:at], as_command, *lines[at + 1 :]]
+
+    result = divergence(busy_file, tmp_path, refuse)
+    assert result.kind == "order" and "was no command, and is a command now" in result.message
+    result = divergence(busy_file, tmp_path, take)
+    assert result.kind == "order" and "was a command, and is no command now" in result.message
+
+
+@pytest.mark.parametrize("topic", ["commands", "refused"])
+def test_a_frame_behind_which_the_file_ends_does_nothing(busy_file: Path, tmp_path: Path, topic: str) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        frame = b'{"type":"apply_physics","cube_name":"one","impulse":[1e15,0,0]}'
+        batch = b'{"type":"batch","commands":[%b,{"type":"step","ticks":2}]}' % frame
+        data = said_by(1, batch) if topic == "commands" else (1).to_bytes(4, "little") + batch
+        return [*lines, Line(topic, lines[-1].log_time, data)]
+
+    def watch(world: World, happened: Request | Kind | None) -> None:
+        worlds[:] = [world]
+
+    worlds: list[World] = []
+    made = rewrite(busy_file, tmp_path / "x.mcap", edit)
+    report = replay(made, watch=watch)
+    assert report.verdict == "reproduced"
+    assert worlds[0].fault is None and report.frames[1] == worlds[0].ticks
 
 
 def test_dropped_repeated_and_swapped_records_are_found(busy_file: Path, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import orjson
 from hypothesis import strategies as st
@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from nmes.protocol import COMMANDS as COMMAND_SCHEMAS
 from nmes.protocol import parse
 from nmes.world import World
+from nmes.world.journal import Journal
 
+STEP = {"type": "step"}
 Deed = Callable[[World, int], int]  # takes the client who drives, and returns who does from then on
 
 
@@ -56,8 +58,8 @@ def commands_about(creature: str) -> list[dict[str, Any]]:
         {"type": "drive", "creature": creature, "controls": [1, 1, 1]},
         {"type": "set_joint_param", "joint_name": f"{creature}.j0", "param_name": "motor_max_force", "value": 1000},
         {"type": "spawn_cube"},
-        {"type": "step"},
-        {"type": "batch", "commands": [{"type": "step"}]},
+        STEP,
+        {"type": "batch", "commands": [STEP]},
         {"type": "ping"},
         {"type": "nonsense"},
     ]
@@ -81,10 +83,48 @@ def deeds_about(creature: str) -> dict[str, st.SearchStrategy[Deed]]:
 
 
 def deeds_at(creature: str, places: int) -> st.SearchStrategy[dict[int, Deed]]:
-    """Returns one to three deeds by the number of the step before which each is done, of so many steps."""
+    """Returns one to three deeds by the number of the step before which each is done, the last of which is given.
+
+    Or it is one near the end, and the recording, though sound, ends with it or in the midst of it.
+    """
     deeds = deeds_about(creature)
     each = st.sampled_from([*deeds]).flatmap(deeds.__getitem__)
-    return st.dictionaries(st.integers(0, places), each, min_size=1, max_size=3)
+    ticking = st.sampled_from(commands_about(creature)).map(lambda command: batch_of(command, STEP))
+    hidden = st.tuples(each | ticking, st.integers(0, 3)).map(lambda drawn: hiding(*drawn))
+    last = st.tuples(st.integers(places - 1, places), hidden).map(lambda drawn: dict([drawn]))
+    return last | st.dictionaries(st.integers(0, places), each, min_size=1, max_size=3)
+
+
+def batch_of(*commands: dict[str, Any]) -> Deed:
+    """Returns what has the client do several commands at once."""
+    frame = orjson.dumps({"type": "batch", "commands": [*commands]})
+    return lambda world, client: _send(world, client, frame)
+
+
+def hiding(deed: Deed, told: int) -> Deed:
+    """Returns a deed whose recording ends, soundly, after so many of the things that the journal is told."""
+
+    def hide(world: World, client: int) -> int:
+        assert world.journal is not None
+        world.journal = cast("Journal", _CutShort(world.journal, told))
+        return deed(world, client)
+
+    return hide
+
+
+class _CutShort:
+    """A journal that is told so many things yet, and nothing after."""
+
+    def __init__(self, journal: Journal, told: int) -> None:
+        self._journal, self._left = journal, told
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        def tell(*about: Any) -> None:
+            self._left -= 1
+            if self._left >= 0:
+                getattr(self._journal, name)(*about)
+
+        return tell
 
 
 def _about(creature: str, value: Any) -> Any:
