@@ -12,6 +12,7 @@ import click
 
 from nmes.cli._json import print_json
 from nmes.cli._proof_files import check_place, write_documents
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import RunError, visible
 from nmes.schemas.documents import JsonObject
 
@@ -92,6 +93,8 @@ def command(
     else:
         for told in written:
             _print(told)
+        for line in borrowed_names({run.settings.task.hash: run.settings.task.name}):
+            click.echo(line)
 
 
 def _written(run: Run, chosen: int, target: Path, signing: Ed25519PrivateKey | None) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import click
 from nmes.cli._json import print_json
 from nmes.cli._pool import advance_in_pool
 from nmes.cli._progress import progress_bars
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import visible
 
 if TYPE_CHECKING:
@@ -109,6 +110,8 @@ def tell(run: Run, as_json: bool) -> None:
         click.echo(visible(f"champion of {role}: candidate {champion.index} ({champion.genome}), {champion.score:.6g}"))
     if run.records and _without_score(run) == len(run):
         click.echo(visible(f"no candidate has a score: {_reason(run)}"))
+    for line in borrowed_names({run.settings.task.hash: run.settings.task.name}):
+        click.echo(line)
     click.echo(f"digest: {run.digest}")
 
 

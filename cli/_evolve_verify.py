@@ -12,6 +12,7 @@ from nmes.cli._json import print_json
 from nmes.cli._pool import JOBS, RAY, check_pool, open_pool
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._sample import SEED, drawn_by
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import visible
 
 __all__ = ["command"]
@@ -53,6 +54,8 @@ def command(
         nmes evolve verify runs/walk-ga-0
         nmes evolve verify runs/walk-ga-0 --all --jobs 4
     """
+    from nmes.evolution.run_folder import open_run
+    from nmes.evolution.run_settings import FORMAT, RunSettings
     from nmes.evolution.run_verify import verify_run
 
     check_pool(jobs, ray)
@@ -64,6 +67,10 @@ def command(
         words = {"holds": "holds", "broken": "broken", "not_comparable": "not comparable here"}[found.verdict]
         for finding in found.findings:
             click.echo(visible(finding))
+        # Not of the run, which does not open where its log is damaged.
+        task = open_run(folder, FORMAT, lambda _, document: RunSettings.reopen(document)).task
+        for line in borrowed_names({task.hash: task.name}):
+            click.echo(line)
         again = f"{found.asked:,} of {found.told:,} candidates asked for again, {found.evaluated:,} evaluated again"
         click.echo(f"{words}: {again}{drawn_by(found.seed, found.evaluated, found.told)}")
         click.echo(f"digest: {found.digest}")

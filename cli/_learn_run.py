@@ -16,6 +16,7 @@ import click
 from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
 from nmes.cli._progress import progress_bars
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import visible
 
 if TYPE_CHECKING:
@@ -79,6 +80,8 @@ def tell(run: LearningRun, as_json: bool) -> None:
     click.echo(visible(f"{run.folder}: {done:,} of {run.settings.steps:,} steps in {len(run.legs):,} legs"))
     if best is not None:
         click.echo(visible(f"best: {best.score:.6g}, after leg {best.leg}: {run.folder / 'genome.json'}"))
+    for line in borrowed_names({run.settings.task.hash: run.settings.task.name}):
+        click.echo(line)
     click.echo(f"digest: {run.digest}")
 
 

@@ -12,6 +12,7 @@ from nmes.cli._json import print_json
 from nmes.cli._learn_run import THREADS, cores
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._sample import SEED, drawn_by
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import visible
 
 __all__ = ["command"]
@@ -45,7 +46,9 @@ def command(folder: Path, sample: int, everything: bool, seed: int | None, threa
         nmes learn verify runs/walk-ppo-0
         nmes learn verify runs/walk-ppo-0 --all --threads 2
     """
+    from nmes.evolution.run_folder import open_run
     from nmes.learning.run_verify import verify_learning
+    from nmes.learning.settings import FORMAT, LearningSettings
 
     with progress_bars() as progress:
         found = verify_learning(folder, cores(threads), None if everything else sample, progress, seed)
@@ -55,6 +58,10 @@ def command(folder: Path, sample: int, everything: bool, seed: int | None, threa
         words = {"holds": "holds", "broken": "broken", "not_comparable": "not comparable here"}[found.verdict]
         for finding in found.findings:
             click.echo(visible(finding))
+        # Not of the run, which does not open where its log is damaged.
+        task = open_run(folder, FORMAT, lambda _, document: LearningSettings.reopen(document)).task
+        for line in borrowed_names({task.hash: task.name}):
+            click.echo(line)
         again = f"{found.again:,} of {found.legs:,} legs done again"
         click.echo(f"{words}: {again}{drawn_by(found.seed, found.again, found.legs)}")
         click.echo(f"digest: {found.digest}")

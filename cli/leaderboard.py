@@ -16,6 +16,7 @@ from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
 from nmes.cli._pool import JOBS
 from nmes.cli._progress import QUIET, progress_bars
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import DocumentError, NmesError, visible
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.match_task import MatchTask, load_task
@@ -76,6 +77,8 @@ def tasks(file: Path, allow: tuple[str, ...], as_json: bool) -> None:
         print_json([{"name": name, "hash": digest} for name, digest in listed])
     else:
         click.echo("\n".join(columns([(visible(name), visible(digest)) for name, digest in listed])))
+        for line in borrowed_names({digest: name for name, digest in listed}):
+            click.echo(visible(line))
 
 
 def _task(name: str) -> Task | MatchTask:

@@ -33,7 +33,7 @@ from nmes.genome.development import Rule
 from nmes.genome.sensors import Flaws
 from nmes.schemas.documents import parse_document
 
-__all__ = ["borrows_name", "creature_hash", "shipped_hash", "shipped_task"]
+__all__ = ["borrows_name", "creature_hash", "shipped_hash", "shipped_task", "task_title"]
 
 _DIGITS: Final = 9  # behind the point: what differs by less is the same
 _AXES: Final = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # of joints that name none
@@ -204,3 +204,8 @@ def shipped_hash(task: str) -> str | None:
 def borrows_name(task: str, task_hash: str) -> bool:
     """Tells whether a task has the name of one that ships, but is another."""
     return shipped_hash(task) not in (None, task_hash)
+
+
+def task_title(task: str, task_hash: str) -> str:
+    """Returns a task's name and, where it is that of a task that ships and this is another, that it is."""
+    return f"{task} (not the one that ships)" if borrows_name(task, task_hash) else task

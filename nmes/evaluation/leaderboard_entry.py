@@ -24,7 +24,7 @@ from typing import Any, Final, Literal, TypeAlias
 import orjson
 
 from nmes.errors import LeaderboardError, NmesError
-from nmes.evaluation.identity import borrows_name, creature_hash
+from nmes.evaluation.identity import creature_hash, task_title
 from nmes.evaluation.match_proof import MatchProof, is_match, prove_match, recorded_match
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.proof import Proof, prove, recorded_episode
@@ -137,7 +137,7 @@ class Entry:
     @property
     def task_title(self) -> str:
         """The task's name and, where it is that of a task that ships and this is another, that it is."""
-        return f"{self.task} (not the one that ships)" if borrows_name(self.task, self.task_hash) else self.task
+        return task_title(self.task, self.task_hash)
 
     @property
     def signed_author(self) -> str:

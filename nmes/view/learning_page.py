@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from nmes.evaluation.identity import task_title
 from nmes.genome.preview import render_cutout
 from nmes.learning.run import LearningRun
 from nmes.objective.means import mean
@@ -23,7 +24,8 @@ Point = tuple[float, float]
 def title(run: LearningRun) -> str:
     """Returns the run's name, and what it is about."""
     given = run.settings
-    return f"{run.folder.resolve().name}: {given.genome.name} learns {given.task.name} by {given.algorithm}"
+    task = task_title(given.task.name, given.task.hash)
+    return f"{run.folder.resolve().name}: {given.genome.name} learns {task} by {given.algorithm}"
 
 
 def facts(run: LearningRun) -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from functools import cached_property
 from typing import Any
 
+from nmes.evaluation.identity import task_title
 from nmes.evolution.history import History, Origin
 from nmes.evolution.run import Run
 from nmes.genome import Genome
@@ -52,8 +53,8 @@ class RunSummary:
     def title(self) -> str:
         """The run's name, and what it is about."""
         settings = self._run.settings
-        name = self._run.folder.resolve().name
-        return f"{name}: {settings.algorithm} on {settings.task.name}, seed {settings.seed}"
+        name, task = self._run.folder.resolve().name, settings.task
+        return f"{name}: {settings.algorithm} on {task_title(task.name, task.hash)}, seed {settings.seed}"
 
     @property
     def best(self) -> Origin | None:

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+import learning_runs
 from boards import DASH, edit, entries_of, entry, proofs_of, recording_of, run, verdicts
 from creatures import SINE, WAVE, cpg, mlp, snake
 from journals import write_naming_journal
@@ -32,6 +33,7 @@ from nmes.evaluation.setting import MATCHES
 from nmes.evolution.corpus import Corpus, CorpusTask
 from nmes.genome import Genome
 from recordings import Line, changed, rewrite
+from runs import begin, finish
 
 COLUMNS = ("task", "task_hash", "name", "genome_hash", "creature_hash", "author", "key", "score", "spread", "recorded")
 
@@ -521,6 +523,7 @@ def test_a_task_with_a_borrowed_name_is_refused(board: Path, tmp_path: Path) -> 
     task = Task.load(path)
     edit(board, f"INSERT INTO tasks VALUES ('{task.hash}', 'walk')")
     assert run("add", board, *recorded).exit_code == 1
+    assert f"walk is not the task of that name that ships: its hash is {task.hash[:16]}" in run("tasks", board).stdout
     rescored = CliRunner().invoke(main, ["eval", "--from-recording", *recorded])
     assert rescored.exit_code == 0 and task.hash[:16] in rescored.stdout
 
@@ -561,6 +564,25 @@ def test_a_corpus_takes_no_run_on_a_task_with_a_borrowed_name(tmp_path: Path) ->
     Corpus({task.hash: CorpusTask(task, task.hash, {})}, (), ()).write(corpus)
     shown = CliRunner().invoke(main, ["corpus", "show", str(corpus)])
     assert shown.exit_code == 0 and f"its hash is {task.hash[:16]}" in shown.stdout
+
+
+def test_it_is_said_of_runs_that_their_task_has_a_borrowed_name(tmp_path: Path) -> None:
+    task = Task.load(borrowed(tmp_path / "mine.json"))
+    evolved, learned = tmp_path / "evolved", tmp_path / "learned"
+    finish(begin(evolved, task=task.document, budget=2, options={"founders": 2, "population": 2, "window": 2}))
+    learning_runs.finish(learning_runs.begin(learned, task=task.document, steps=60))
+    line = f"walk is not the task of that name that ships: its hash is {task.hash[:16]}"
+    for kind, folder, words in (("evolve", evolved, ["--jobs", "1"]), ("learn", learned, ["--threads", "1"])):
+        for command in (["verify", *words], ["resume", *words], ["show"], *([["best"]] if kind == "evolve" else [])):
+            told = CliRunner().invoke(main, [kind, command[0], str(folder), *command[1:]])
+            said = "walk (not the one that ships)" if command == ["show"] else line
+            assert told.exit_code == 0 and said in told.stdout, told.output
+        page = tmp_path / f"{kind}.html"
+        assert CliRunner().invoke(main, [kind, "show", str(folder), "-o", str(page)]).exit_code == 0
+        assert "walk (not the one that ships)" in page.read_text()
+        (folder / "log.jsonl").write_text("{}\n")
+        told = CliRunner().invoke(main, [kind, "verify", str(folder), *words])
+        assert told.exit_code == 1 and line in told.stdout, told.output
 
 
 def test_an_entry_on_another_version_of_a_shipped_task_is_not_judged(
