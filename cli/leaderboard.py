@@ -144,9 +144,9 @@ class _Listing:
         self._refusals.append(error.code if isinstance(error, NmesError) else "")
         click.echo(f"refused: {visible(str(error))}", err=True)
 
-    def add(self, proofs: Sequence[AnyProof]) -> None:
-        """Lists what proofs prove."""
-        entry = self.board.add(proofs)
+    def add(self, proofs: Sequence[AnyProof], *, allow: bool = False) -> None:
+        """Lists what proofs prove, on a task that is not taken yet if that is allowed."""
+        entry = self.board.add(proofs, allow=allow)
         self.entries.append(entry)
         self.say(f"listed: {entry.title} ({entry.genome_hash[:16]}), task {entry.task}, score {entry.score:.6g}")
 
@@ -233,9 +233,7 @@ def _import(listing: _Listing, packed: Pack, recordings: tuple[str, ...], allow:
         try:
             prove = proved if allow else listing.board.prove
             proofs = [prove(path) for path in packed.extract(recordings, Path(folder))]
-            if allow:
-                listing.board.allow(proofs[0].task)
-            listing.add(proofs)
+            listing.add(proofs, allow=allow)
         except (NmesError, OSError) as error:
             if getattr(error, "code", "") == "already_listed":
                 listing.say(str(error))

@@ -187,7 +187,7 @@ class Leaderboard:
         self._require_taken(task.name, task.hash)
         return proved(recording)
 
-    def add(self, proofs: Sequence[AnyProof]) -> Entry:
+    def add(self, proofs: Sequence[AnyProof], *, allow: bool = False) -> Entry:
         """Lists the score that recordings prove, and keeps copies of them and of their signatures.
 
         An entry of the same creature that is marked as broken, or cannot be read, makes room.
@@ -195,16 +195,19 @@ class Leaderboard:
         Args:
             proofs: Of one genome on one task: one for each of its seeds, in any order. Of a task with roles: of the
                 same genomes, one for each match of each of its seeds.
+            allow: Take entries on their task from now on, if this one is listed.
 
         Raises:
             LeaderboardError: They are of several genomes or tasks, or not all (`incomplete`); an episode has
-                no score (`no_score`); the task is none that is taken (`task_not_taken`); the creature is listed for
-                this task already (`already_listed`); the author's name belongs to another key (`author_taken`); a file
-                is not the one that was proved any more (`changed`).
+                no score (`no_score`); the task is none that is taken (`task_not_taken`), or that may be allowed
+                (`borrowed_name`); the creature is listed for this task already (`already_listed`); the author's name
+                belongs to another key (`author_taken`); a file is not the one that was proved any more (`changed`).
             SigningError: The signature beside a recording is none of it.
         """
         row = facts(proofs)
         with self._transaction():
+            if allow:  # within the transaction: what refuses the entry takes this back
+                self.allow(proofs[0].task)
             self._check(row)
             same = row["task_hash"], row["creature_hash"]
             self._db.execute("DELETE FROM entries WHERE task_hash = ? AND creature_hash = ?", same)  # which is broken

@@ -129,6 +129,16 @@ def test_an_entry_that_does_not_hold_is_refused_and_the_others_are_listed(packed
     assert unasked.exit_code == 1 and unasked.stderr.count("does not take the task") == 3
 
 
+def test_the_task_of_an_entry_that_is_refused_is_not_taken(packed: Path, tmp_path: Path) -> None:
+    contents, mine = members(packed), tmp_path / "mine.sqlite"
+    (first, _) = json.loads(contents["entries.json"])["entries"][0]["recordings"]  # one seed of two
+    half = {"entries.json": entries_json(first), f"{first}.mcap": contents[f"{first}.mcap"]}
+    done = run("import", mine, written(tmp_path / "half.zip", half), "--allow")
+    assert done.exit_code == 1 and "refused: " in done.stderr and shown(mine) == []
+    assert "dash" not in run("tasks", mine).stdout
+    assert run("import", mine, packed, "--allow").exit_code == 0 and "dash" in run("tasks", mine).stdout
+
+
 def entries_json(*recordings: str, **more: Any) -> bytes:
     entries = [{"recordings": list(recordings)}] if recordings else []
     return json.dumps({"format": "nmes-leaderboard-pack/1", "entries": entries, **more}).encode()
