@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
+import shlex
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +18,7 @@ from nmes.evaluation.again import MODEL, has_model, unforeseen
 from nmes.schemas.documents import JsonObject, parse_document
 from nmes.schemas.files import read_regular
 from nmes.study.claims import evaluate
-from nmes.study.document import Plan, PlannedRun
+from nmes.study.document import Plan, PlannedRun, fill, settle
 from nmes.study.report import REPORT, verdicts, written
 from nmes.study.results import Results, row_of
 from nmes.study.run import Progress, do_runs
@@ -132,22 +135,39 @@ def _drawn(runs: Sequence[PlannedRun], count: int, draw: Draw) -> list[PlannedRu
     return sorted((run for _, run in chosen), key=lambda run: run.number)
 
 
-def _models(folder: Path) -> list[str]:
-    """Returns the names, without endings, of the genomes beside a study that have an ONNX brain."""
+def _models(folder: Path) -> list[Path]:
+    """Returns the genomes beside a study that have an ONNX brain."""
     found = []
     for path in sorted(folder.glob("*.json")):
         with suppress(OSError, DocumentError):  # what is no genome is none of a creature that has such a brain
             genome = parse_document(path.read_bytes()) if path.is_file() else None
             if isinstance(genome, dict) and isinstance(genome.get("brain"), dict) and has_model([genome]):
-                found.append(path.stem)
+                found.append(path)
     return found
 
 
-def _names_one(plan: Plan, run: PlannedRun, names: Sequence[str]) -> bool:
-    """Tells whether the commands of a run, or what is filled in there, name one of some documents."""
-    beside: dict[str, str] = run.arm.get("beside", {})
-    words = [*plan.study.arm_commands(run.arm).values(), *beside.values(), *map(str, run.values.values())]
-    return any(name in word for name in names for word in words)
+def _names_one(plan: Plan, run: PlannedRun, documents: Sequence[Path]) -> bool:
+    """Tells whether the commands of a run name one of some files beside its study: itself, its folder, or a pattern."""
+    return any(
+        path in (document, document.parent) or document.match(str(path))
+        for path in _paths(plan, run)
+        for document in documents
+    )
+
+
+def _paths(plan: Plan, run: PlannedRun) -> Iterator[Path]:
+    """Yields all that could be a path in the commands of a run: `FILE`, `--genome=FILE`, `prey=FILE,hunter=FILE`."""
+    # Folders stand for themselves until words are cut to pieces: their names may have what words are cut at.
+    values = settle(run.values, {"run": "{run}", "study": "{study}"})
+    for command in (*plan.study.arm_commands(run.arm).values(), *run.arm.get("beside", {}).values()):
+        for word in shlex.split(command):
+            try:
+                filled = fill([word], values)
+            except KeyError:
+                continue  # what another command printed
+            for piece in re.split("[=,]", ",".join(filled)):
+                if piece:
+                    yield Path(os.path.abspath(piece.replace("{study}", str(plan.study.folder))))
 
 
 def _compare_files(folder: Path, expected: dict[str, bytes]) -> list[str]:

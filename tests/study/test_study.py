@@ -17,10 +17,9 @@ import pyarrow.parquet
 import pytest
 
 from command_line import run
-from modelled import modelled
 from nmes.errors import StudyError
 from nmes.schemas.documents import canonical_hash
-from nmes.study import Results, Study, run_study, verify_study, write_report
+from nmes.study import Results, Study, run_study, verify_study
 from nmes.study.claims import evaluate
 from nmes.study.document import PlannedRun
 from processes import NMES
@@ -358,26 +357,6 @@ def test_what_was_done_where_other_numbers_come_out_is_done_again(
             path.write_bytes(content)
         with pytest.raises(StudyError, match="that run is done again"):
             run_study(plan, 1, nothing)
-
-
-def test_what_a_model_rounds_otherwise_is_not_comparable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = make_study(tmp_path / "model")
-    (folder / "swinging.json").write_text(json.dumps(modelled()))
-    moved: set[object] = set()
-
-    def perform(study: Study, run: PlannedRun, *others: object) -> dict[str, object]:
-        return {"score": 2.0 if run.arm["name"] in moved else 1.0, "hash": ""}
-
-    monkeypatch.setattr("nmes.study.run.perform", perform)
-    plan = Study.load(folder).plan("small")
-    run_study(plan, 1, nothing)
-    write_report(plan)
-    assert verify_study(plan, 2, 1, nothing).verdict == "holds"
-    moved.add("swinging")
-    found = verify_study(plan, 2, 1, nothing)
-    assert found.verdict == "not_comparable" and "it has an ONNX brain" in found.findings[0]
-    moved.add("still")
-    assert verify_study(plan, 2, 1, nothing).verdict == "broken"
 
 
 # -- what is measured -------------------------------------------------------------------------------------------------
