@@ -70,6 +70,7 @@ _TABLES = (
 )
 _EMPTY: tuple[int, int, list[tuple[str, ...]]] = (0, 0, [])  # kind, version and tables of a new file
 _SCHEMA = "SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY name"
+_HIGHEST = 2**63 - 1  # number of a row
 _LONGEST = 1 << 20  # bytes of a row that are read: 1,000 recordings, the most that there can be, are 67 kB
 
 
@@ -209,12 +210,15 @@ class Leaderboard:
             if allow:  # within the transaction: what refuses the entry takes this back
                 self.allow(proofs[0].task)
             self._check(row)
+            # Beyond that of an entry which makes room: a verdict on that one, given meanwhile, is of no other.
+            (highest,) = self._db.execute("SELECT coalesce(max(id), 0) FROM entries").fetchone()
+            free = highest + 1 if highest < _HIGHEST else None  # SQLite looks for one
             same = row["task_hash"], row["creature_hash"]
             self._db.execute("DELETE FROM entries WHERE task_hash = ? AND creature_hash = ?", same)  # which is broken
-            columns = ", ".join(row)
+            columns = ", ".join(("id", *row))
             values = [orjson.dumps(value).decode() if isinstance(value, tuple) else value for value in row.values()]
-            places = ", ".join("?" * len(row))
-            number = self._db.execute(f"INSERT INTO entries ({columns}) VALUES ({places})", values).lastrowid
+            places = ", ".join("?" * (1 + len(row)))
+            number = self._db.execute(f"INSERT INTO entries ({columns}) VALUES ({places})", (free, *values)).lastrowid
             # Within the transaction: an entry without its recordings is never seen.
             self.recordings.mkdir(exist_ok=True)
             for proof in proofs:

@@ -395,6 +395,8 @@ def _recorded_otherwise(proof: AnyProof) -> bool:
 
 
 def _proved_again(entry: Entry, paths: Sequence[Path]) -> list[AnyProof]:
+    if len({*entry.recordings}) < len(entry.recordings):  # each is of another seed or match
+        raise LeaderboardError("changed", "it names a recording twice")
     for path, expected in zip(paths, entry.recordings, strict=True):
         if not path.is_file():
             raise LeaderboardError("changed", f"there is no recording {path}")
@@ -405,7 +407,7 @@ def _proved_again(entry: Entry, paths: Sequence[Path]) -> list[AnyProof]:
         if task_hash != entry.task_hash:  # known before it is run, which may take as long as its task says
             raise LeaderboardError("changed", f"task_hash: listed {entry.task_hash!r}, {path} is of {task_hash!r}")
     first = proved(paths[0])
-    if len(set(paths)) > len(first.task.seeds) * max(len(entry.players), 1):  # counted before thousands of them are run
+    if len(paths) > len(first.task.seeds) * max(len(entry.players), 1):  # counted before thousands of them are run
         raise _incomplete(first)
     return [first, *(proved(path) for path in paths[1:])]
 

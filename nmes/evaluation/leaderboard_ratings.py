@@ -1,6 +1,9 @@
 """Ratings of the creatures of a leaderboard, from the matches that its entries prove.
 
-Invariant: they follow from the entries alone, in whichever order those were listed.
+Invariants:
+
+- They follow from the entries alone, in whichever order those were listed.
+- A creature has the name under which it was listed first: whoever lists it again renames nobody's.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ class Rated:
     Attributes:
         task: The task's name.
         task_hash: Its hash.
-        name: The genome's name.
+        name: The genome's name, in the first of its entries.
         creature_hash: SHA-256 of what of it acts, by which it is known.
         rating: Its rating.
         matches: How many matches it has played.
@@ -71,8 +74,12 @@ def rated(entries: Iterable[Entry]) -> list[Rated]:
 
 def _rated(entries: Sequence[Entry]) -> list[Rated]:
     """Rates the creatures of one task."""
-    names = {player.creature_hash: player.name for entry in entries for player in entry.players}
-    numbers = {creature: number for number, creature in enumerate(names)}
+    names: dict[str, str] = {}
+    for entry in sorted(entries, key=lambda entry: entry.id):
+        for player in entry.players:
+            names.setdefault(player.creature_hash, player.name)
+    creatures = dict.fromkeys(player.creature_hash for entry in entries for player in entry.players)
+    numbers = {creature: number for number, creature in enumerate(creatures)}
     matches: list[tuple[list[int], tuple[int, ...]]] = []
     for entry in entries:
         who = [numbers[player.creature_hash] for player in entry.players]

@@ -206,6 +206,16 @@ def test_ratings_follow_from_the_entries_alone(board: Path, races: list[str], tm
     assert run("ratings", board, "--task", "sumo").stdout.count("\n") == 1
 
 
+def test_who_lists_a_creature_again_renames_it_for_nobody(tmp_path: Path) -> None:
+    board = new_board(tmp_path, RACE)
+    assert run("add", board, *meet(tmp_path / "hers", RACE, FAST, SLOW)).exit_code == 0
+    for number in range(4):  # whichever of the entries comes first by its hash
+        his = meet(tmp_path / str(number), RACE, {**FAST, "name": "his"}, push(1.5 + number, name=f"dummy {number}"))
+        assert run("add", board, *his).exit_code == 0
+    rated = json.loads(run("ratings", board, "--json").stdout)
+    assert [each["name"] for each in rated if each["name"] in ("fast", "his")] == ["fast"]
+
+
 def test_where_all_have_one_objective_nobody_is_rated(tmp_path: Path) -> None:
     """They are always equally good: of who is better, nothing follows."""
     objective = {"objective": "red.displacement.x - blue.displacement.x"}

@@ -102,6 +102,18 @@ def test_what_is_listed_already_stays_as_it_is(packed: Path, tmp_path: Path) -> 
     assert shown(mine) == before
 
 
+def test_an_entry_that_was_found_broken_is_taken_anew(packed: Path, tmp_path: Path) -> None:
+    board = tmp_path / "board.sqlite"
+    assert run("import", board, packed, "--allow").exit_code == 0
+    whole = shown(board)
+    for recording in board.with_suffix(".recordings").glob("*.mcap"):
+        recording.unlink()
+    assert run("verify", board, "--write").exit_code == 1 and shown(board) == []
+    imported = run("import", board, packed)
+    assert imported.exit_code == 0 and imported.stdout.endswith(f"3 entries of 3 new to {board}\n")
+    assert shown(board) == whole
+
+
 def test_tasks_are_taken_only_where_that_is_asked_for(packed: Path, tmp_path: Path) -> None:
     done = run("import", tmp_path / "mine.sqlite", packed)
     assert done.exit_code == 1 and done.stderr.count("does not take the task") == 3

@@ -74,7 +74,8 @@ def test_an_entry_with_its_best_seed_twice_is_broken(board: Path) -> None:
     twice = json.dumps([scores[best]] * 2)
     edit(board, f"UPDATE entries SET recordings = '{twice}', score = {best!r} WHERE name = 'wave'")
     status, found = verdicts(board)
-    assert status == 1 and found["wave"][0] == "broken" and found["chain"] == ("holds", "")
+    assert status == 1 and found["wave"] == ("broken", "it names a recording twice")
+    assert found["chain"] == ("holds", "")
     once = json.dumps([scores[best]])
     edit(board, f"UPDATE entries SET recordings = '{once}' WHERE name = 'wave'")
     status, found = verdicts(board)
@@ -251,6 +252,31 @@ def test_a_broken_entry_does_not_keep_its_creature_out(board: Path, proofs: list
     edit(board, "UPDATE entries SET recordings = 'garbage' WHERE name = 'wave'")
     assert run("add", board, *proofs[:2]).exit_code == 0
     assert verdicts(board) == (0, {"wave": ("holds", ""), "chain": ("holds", "")})
+
+
+def test_a_recording_that_a_row_names_many_times_is_not_run(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs: list[Path] = []
+    monkeypatch.setattr(leaderboard_entry, "proved", runs.append)
+    names = json.dumps(entry(board).recordings[:1] * 1000)
+    edit(board, f"UPDATE entries SET recordings = '{names}' WHERE name = 'wave'", "DELETE FROM entries WHERE id > 1")
+    with Leaderboard(board) as opened:
+        assert [each.verdict for each in opened.verify()] == ["broken"]
+    assert not runs
+
+
+def test_a_verdict_on_an_entry_that_made_room_is_of_no_other(board: Path, proofs: list[str]) -> None:
+    edit(board, "DELETE FROM entries WHERE name = 'chain'", "UPDATE entries SET recordings = 'garbage'")
+    with Leaderboard(board) as opened:
+        (verdict,) = opened.verify()
+        added = opened.add([prove(proof, brain=True) for proof in proofs[:2]])
+        assert verdict.verdict == "broken" and verdict.id != added.id
+        opened.mark([verdict])
+        assert [each.id for each in opened.entries()] == [added.id]
+
+
+def test_the_highest_number_of_a_row_is_no_end(board: Path, proofs: list[str]) -> None:
+    edit(board, "DELETE FROM entries WHERE name = 'wave'", f"UPDATE entries SET id = {2**63 - 1}")
+    assert run("add", board, *proofs[:2]).exit_code == 0 and len(entries_of(board)) == 2
 
 
 # -- recordings -------------------------------------------------------------------------------------------------------
