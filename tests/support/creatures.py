@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -70,3 +71,12 @@ def able(task: str) -> str | dict[str, Any]:
     """Returns a creature that may take part in a task that ships."""
     special = {"carry": "juggler", "pole": "juggler", "planar-walk": "inchworm", "reach": "seeker"}
     return seedling() if task == "growth" else special.get(task, "walker")
+
+
+def renamed(document: dict[str, Any]) -> dict[str, Any]:
+    """Renames every cube and joint of a snake, wherever they are named."""
+    text = json.dumps(document)
+    for i in range(9):
+        text = text.replace(f'"c{i}"', f'"part-{9 - i}"').replace(f'"j{i}"', f'"bend-{9 - i}"')
+    changed: dict[str, Any] = json.loads(text)
+    return changed
