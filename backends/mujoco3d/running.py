@@ -32,6 +32,9 @@ __all__ = ["HUGE", "RunningModel", "Wrenches"]
 HUGE = 1e10
 """MuJoCo's mjMAXVAL: beyond this it calls a state bad."""
 
+_OUT_OF_HAND = 1e3, 10.0
+"""A body is out of hand that is so fast, m/s, and so many times as fast as before the step."""
+
 logger = logging.getLogger(__name__)
 
 # A heap: so many trees hold each other. Newton's method with round friction cones takes three times as long for it as
@@ -128,6 +131,7 @@ class RunningModel:
         # What a step changes of that state, besides the time, and room for how it was before.
         changing = [data.qpos, data.qvel, data.qacc_warmstart, *([data.act] if model.na else [])]
         self._before = [(memoryview(values.copy()), memoryview(values)) for values in changing if len(values)]
+        self._slept = data.tree_asleep.copy()  # as it was before a step, too
         # Attribute access on MjData makes a new view each time; these are what a tick and a query need.
         self._warnings = memoryview(data.warning.number)
         self._no_warnings = self._warnings.tobytes()
@@ -273,6 +277,7 @@ class RunningModel:
         """
         for kept, values in self._before:
             kept[:] = values
+        self._slept[:] = self.asleep
         self._began, self._parting = self.data.time, self.depenetration.watched
         self._slots = self.motors.begin(substeps) if self._driven else iter(())
         try:
@@ -288,7 +293,7 @@ class RunningModel:
         self.senses.forget()
         if self._warnings.tobytes() != self._no_warnings:
             try:
-                self._fail()
+                self._fail(substeps, wrenches)
             finally:
                 self._go_back()
         if self._may_heap:
@@ -400,20 +405,51 @@ class RunningModel:
         mujoco.mj_setState(self.model, self.data, self.state(), STATE)  # which wakes all
         self._current = False
 
-    def _fail(self) -> None:
+    def _fail(self, substeps: int, wrenches: Wrenches) -> None:
         for warning, (code, message) in _FAULTS.items():
             if self._warnings[warning]:
                 raise SimulationFault(code, message)
-        owner = self.model.dof_bodyid
-        for values, quantity in ((self.data.qvel, "velocity"), (self.data.qacc, "acceleration")):
-            bad = np.flatnonzero(~(np.abs(values) <= HUGE))
-            if len(bad):
-                body = self.compiled.body_number[int(owner[bad[0]])]
-                raise SimulationFault("diverged", f"the engine diverged: {quantity} out of bounds", body)
-        raise SimulationFault("diverged", "the engine diverged", self._blamed())
+        owner, message, body = self.model.dof_bodyid, "the engine diverged", self._blamed()
+        for values, quantity in ((self.data.qacc, "acceleration"), (self.data.qvel, "velocity")):
+            sizes = np.nan_to_num(np.abs(values), nan=np.inf)
+            if (sizes > HUGE).any():
+                message = f"the engine diverged: {quantity} out of bounds"
+                body = self.compiled.body_number[int(owner[sizes.argmax()])]
+        first = self._first_out_of_hand(substeps, wrenches)
+        raise SimulationFault("diverged", message, body if first is None else first)
+
+    def _first_out_of_hand(self, substeps: int, wrenches: Wrenches) -> int | None:
+        """Returns the body with which it began, once it has failed: takes the step again, an engine step at a time.
+
+        By its end all may be out of hand that touches that body, or is computed with it. Whoever is struck is seldom
+        the faster one, and never before the other is; so of those that are out of hand first it is the fastest.
+        """
+        asleep = self.asleep.copy()
+        self._go_back()
+        self.settle(self._slept)
+        self._slots = self.motors.begin(substeps) if self._driven else iter(())
+        speeds = self._lengths(self.qvel)
+        fastest, times = _OUT_OF_HAND
+        bounds, lasting, body = np.maximum(times * speeds, fastest), Wrenches(), None
+        lasting.forces = wrenches.forces
+        for step in range(substeps):
+            self._advance_pushed(1, lasting if step else wrenches)
+            before, speeds = speeds, self._lengths(self.qvel)
+            if (speeds > bounds).any():
+                # Of several that are no numbers, it is what was accelerated without bounds, or was the fastest before.
+                first = np.lexsort((before, self._lengths(self.data.qacc), speeds))[-1]
+                body = self.compiled.body_number[int(self.model.dof_bodyid[first])]
+                break
+        self.asleep[:] = asleep
+        count_awake(self.model, self.data)
+        return body
+
+    def _lengths(self, rates: Array) -> Array:
+        """Returns how large rates of the coordinates are for corners of bodies: in metres, not in radians."""
+        return np.asarray(np.nan_to_num(np.abs(rates) * self.model.dof_length, nan=np.inf))
 
     def _blamed(self) -> int | None:
-        """Returns the body over whose coordinates MuJoCo has warned, and then put everything back to the beginning."""
+        """Returns the body over whose coordinates MuJoCo has warned."""
         model, warned = self.model, self.data.warning
         for warning, owners in (
             (

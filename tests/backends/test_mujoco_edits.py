@@ -251,6 +251,20 @@ def test_a_divergence_names_its_body() -> None:
     assert (fault.value.code, fault.value.body) == ("diverged", 7)
 
 
+def test_a_divergence_names_the_body_with_which_it_began() -> None:
+    """By the end of the step those are no numbers, too, that the engine computed beside it, or that it has struck."""
+    simulation = scene()
+    for body, place in ((1, (0.0, 0.5, 0.0)), (7, (4.0, 0.5, 0.0)), (9, (5.05, 0.5, 0.0))):
+        simulation.add_body(body, box(place))
+    simulation.step(4)
+    simulation.apply(9, NONE, NONE, (0.0, 9e3, 0.0), NONE)  # as fast as it is, it goes on as it did
+    simulation.step(4)
+    simulation.apply(7, (1e200, 0.0, 0.0), NONE, NONE, NONE)
+    with pytest.raises(SimulationFault) as fault:
+        simulation.step(4)
+    assert (fault.value.code, fault.value.body) == ("diverged", 7)
+
+
 def test_a_step_that_failed_leaves_a_scene_as_it_was() -> None:
     """In the failing step the crowd begins to come apart, which is seen by whom of it the engine watches."""
     simulation = scene()
