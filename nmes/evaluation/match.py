@@ -28,7 +28,7 @@ from nmes.evaluation.episode import brain_of
 from nmes.evaluation.evaluator import file_name, recorded
 from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import METADATA, MatchTask, MatchTaskLike
-from nmes.evaluation.referee import Referee, void_results
+from nmes.evaluation.referee import Referee, culprit, void_results
 from nmes.evaluation.seeding import read_seeds
 from nmes.evaluation.steps import ANY_CONTROLS, Drive, Step, perform, settle
 from nmes.genome import Genome
@@ -100,9 +100,8 @@ class Match:
 
     def steps(self) -> Generator[Step, None, None]:
         """Yields the match's steps; each must be done before the next is asked for."""
-        yield from self._set_scene()
-        referee, world, task = self._referee, self._world, self._task
-        if referee is None or self._restless:
+        referee, world, task = (yield from self._set_scene()), self._world, self._task
+        if referee is None:
             return
         players, block = self._players(), task.tick_rate
         for tick in range(task.ticks):
@@ -116,16 +115,21 @@ class Match:
             if ((tick + 1) % block == 0 or tick + 1 == task.ticks) and referee.look():
                 return
 
-    def _set_scene(self) -> Generator[Step, None, None]:
-        """Yields the steps before the start; makes the referee, who looks at it."""
+    def _set_scene(self) -> Generator[Step, None, Referee | None]:
+        """Yields the steps before the start; returns the referee, who has looked at it, if the match goes on."""
         world, task = self._world, self._task
         _, restless = yield from settle(world, task, list(task.roles), task.entry(self._seed, self._genomes))
+        if world.fault is not None and culprit(world, task) is None:
+            return None
+        referee = self._referee = Referee(world, task, self._seed)
+        self._start = world.frame
         if world.fault is not None:
-            return
-        self._referee, self._start = Referee(world, task, self._seed), world.frame
+            referee.look_at_failed_start()
+            return None
         self._restless = restless
-        self._referee.note()
-        self._referee.look()
+        referee.note()
+        referee.look()
+        return None if restless else referee
 
     def _players(self) -> list[_Player]:
         players = []

@@ -4,7 +4,9 @@ The rules, which hold in every task with roles:
 
 - A creature that is beyond a limit of its role, that never comes to rest, over one of whose cubes the engine fails, or
   whose objective has no finite value has lost: it has no score, and its fault says why. The others are scored as it was
-  at the tick before.
+  at the tick before; where the engine fails before the start, as it was there.
+- Where several are beyond limits at the same tick, and one is ten times as fast as others, these are not blamed: it has
+  blown up, and struck them.
 - All bodies together are audited, since who is pushed gains what another's motors gave. Where they had energy that no
   motor gave them, whoever had most of that first, beyond the work of its own motors, has lost likewise: energy is first
   where it is made.
@@ -18,6 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from nmes.backend import Array
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance
 from nmes.evaluation.judge import MEASURED, Result
@@ -27,12 +30,20 @@ from nmes.objective.trajectory import ObservedBodies, Trajectory
 from nmes.world import World
 from nmes.world.creature import Creature
 
-__all__ = ["Referee", "void_results"]
+__all__ = ["Referee", "culprit", "void_results"]
+
+_BLAST = 10.0  # how many times as fast as others a creature is that has blown up
 
 
 def void_results(task: MatchTask, seed: int, fault: str) -> dict[str, Result]:
     """Returns the results of a match in which nobody has a score, since it could not begin."""
     return {role: Result(seed, None, 0.0, 0.0, 0, fault=fault) for role in task.roles}
+
+
+def culprit(world: World, task: MatchTask) -> str | None:
+    """Returns the role over one of whose cubes the engine has failed; None where it has not, or over nobody's."""
+    name = "" if world.fault is None else (world.fault.cube or "").partition(".")[0]
+    return name if name in task.roles else None
 
 
 class Referee:
@@ -112,16 +123,25 @@ class Referee:
         if begin == end:
             return self.ended is not None
         rows = slice(begin, end)
-        self._states[rows], self._powers[rows] = track.states(begin, end), track.powers(begin, end)
-        self._positions[rows] = track.positions(begin, end)
+        self._powers[rows], self._positions[rows] = track.powers(begin, end), track.positions(begin, end)
+        self._take(track.states(begin, end), begin, end)
+        self._stop(max(begin, 1), end)
+        return self.ended is not None
+
+    def look_at_failed_start(self) -> None:
+        """Judges the match as over at its start, since the engine failed before: of that it tells only the states."""
+        self._take(self._world.simulation.states(self._numbers)[np.newaxis], 0, 1)
+
+    def _take(self, states: Array, begin: int, end: int) -> None:
+        """Hands the states of new rows, whose powers are known, to the trajectories."""
+        trajectories, rows = self.trajectories, slice(begin, end)
+        self._states[rows] = states
         for part, columns, motors in zip(trajectories.of.values(), self._columns, self._driven, strict=False):
             part.states[rows] = self._states[rows, columns]
             part.meter(begin, self._powers[rows, 1, motors])
         if self._things is not None:
             self._things.states[rows] = self._states[rows, self._columns[-1]]
         self._count(end)
-        self._stop(max(begin, 1), end)
-        return self.ended is not None
 
     def _count(self, rows: int) -> None:
         """Says how many rows count, of everybody."""
@@ -147,7 +167,10 @@ class Referee:
         rows = min(row for row, _ in (*held, *beyond.values()))
         self.ended = next((name for row, name in held if row == rows), None)
         if self.ended is None:
-            self._losses = {role: limit for role, (row, limit) in beyond.items() if row == rows}
+            losses = {role: limit for role, (row, limit) in beyond.items() if row == rows}
+            speeds = {role: _fastest(trajectories.of[role], rows) for role in losses}
+            slowest = max(speeds.values()) / _BLAST
+            self._losses = {role: limit for role, limit in losses.items() if speeds[role] >= slowest}
             self.ended = ", ".join(f"{role}: {limit}" for role, limit in self._losses.items())
         self._count(rows)
 
@@ -161,9 +184,9 @@ class Referee:
         losses |= restless
         void, fault = None, self._world.fault
         if fault is not None and self.ended is None:
-            loser, reason = (fault.cube or "").partition(".")[0], f"{fault.code}: {fault.message}"
-            void = None if loser in self._sides else reason
-            losses |= {loser: reason} if loser in self._sides else {}
+            loser, reason = culprit(self._world, self._task), f"{fault.code}: {fault.message}"
+            void = reason if loser is None else None
+            losses |= {} if loser is None else {loser: reason}
         losses |= self._audit()
         return {role.name: self._result(role, void or losses.get(role.name)) for role in self._task.roles.values()}
 
@@ -223,6 +246,15 @@ class _Side:
     def numbers(self, joints: list[str]) -> list[int]:
         """Returns the engine's numbers of joints."""
         return [self._world.entities.joint(name).number for name in joints]
+
+
+def _fastest(part: Trajectory, row: int) -> float:
+    """Returns how fast the fastest corner of a body is at a row, m/s; where that is no number, infinity."""
+    body = part.bodies.columns(None)
+    motion, sizes = part.states[row, body, 7:13], part.bodies.sizes[body]
+    speeds, spins, diagonals = (np.sqrt((each * each).sum(axis=1)) for each in (motion[:, :3], motion[:, 3:], sizes))
+    corners = speeds + spins * diagonals / 2.0
+    return float(np.nan_to_num(corners, nan=np.inf).max())
 
 
 def _springs(side: _Side) -> list[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from creatures import SINE, cpg, exploding, mlp, snake
 from duels import duel, push, roles
 from nmes.errors import ProofError, SimulationFault, WorldError
 from nmes.evaluation import Match, MatchTask, Task, brain_of, evaluate, play, prove, prove_match
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match import match_metadata
 from nmes.evaluation.steps import perform
 from nmes.genome import Genome
@@ -22,6 +24,7 @@ from nmes.recording import Recorder
 from nmes.world import World
 
 QUIET = snake(None)
+ZERO = (0.0, 0.0, 0.0)
 
 
 def centre(world: World, role: str) -> np.ndarray[Any, Any]:
@@ -203,32 +206,79 @@ def test_who_makes_energy_of_nothing_has_lost(loser: str) -> None:
     assert other.score is not None and other.fault is None
 
 
-@pytest.mark.parametrize(("culprit", "loser"), [("red.c1", "red"), ("blue.w2", "blue"), (None, None)])
-def test_over_whose_cube_the_engine_fails_has_lost(culprit: str | None, loser: str | None) -> None:
-    task, genomes = duel(), {"red": Genome(snake()), "blue": Genome(push())}
+def meddled(task: MatchTask, frame: int, meddle: Callable[[World], None]) -> dict[str, Result]:
+    """Returns how a match of two carts comes out where something is done to their world at a frame."""
+    genomes = {"red": Genome(push()), "blue": Genome(push())}
     world = World(task.world_config(3))
     match = Match(world, genomes, {role: brain_of(genome) for role, genome in genomes.items()}, task, 3)
-    client, ticks = world.join(), 0
-
-    def fail(substeps: int) -> None:
-        body = None if culprit is None else world.entities.cube(culprit).body
-        raise SimulationFault("diverged", "it is off", body)
-
+    client = world.join()
     for step in match.steps():
         if step is None:
-            ticks += match.scores_so_far("red").size > 0 or world.frame > 40
-            if ticks == 20:
-                world.simulation.step = fail  # type: ignore[method-assign]
+            if world.frame == frame:
+                meddle(world)
             world.tick()
         elif isinstance(step, bytes):
             world.handle(client, parse(step))
         else:
             world.drive(client, step.creature, step.controls)
     assert match.results() == match.results()
-    for role, result in match.results().items():
+    return match.results()
+
+
+START, LATER = 3, 60  # frames before the start of a duel, and after it
+
+
+def shove(**impulses: float) -> Callable[[World], None]:
+    """Returns what pushes the first cube of each role along z, N s, in the next tick."""
+
+    def meddle(world: World) -> None:
+        for role, impulse in impulses.items():
+            cube = world.entities.cube(next(iter(world.creature(role).cubes.values())))
+            world.simulation.apply(cube.body, ZERO, ZERO, (0.0, 0.0, impulse), ZERO)
+
+    return meddle
+
+
+@pytest.mark.parametrize("frame", [START, LATER])
+@pytest.mark.parametrize(("culprit", "loser"), [("red.w1", "red"), ("blue.w2", "blue"), (None, None), ("ball", None)])
+def test_over_whose_cube_the_engine_fails_has_lost(culprit: str | None, loser: str | None, frame: int) -> None:
+    def meddle(world: World) -> None:
+        def fail(substeps: int) -> None:
+            body = None if culprit is None else world.entities.cube(culprit).body
+            raise SimulationFault("diverged", "it is off", body)
+
+        world.simulation.step = fail  # type: ignore[method-assign]
+
+    ball = {"id": "ball", "size": [0.2, 0.2, 0.2], "mass": 1, "position": [0, 0, 3]}
+    for role, result in meddled(duel(props=[ball]), frame, meddle).items():
         assert (result.score is None) == (role == loser or loser is None)
         assert str(result.fault).startswith("diverged: it is off") == (result.score is None)
-        assert 0 < result.ticks < 90
+        assert 0 < result.ticks < 90 if frame == LATER else result.ticks == 0
+        assert frame == LATER or result.score in (None, 0.0)  # as it was at the start
+
+
+@pytest.mark.parametrize("frame", [START, LATER])
+@pytest.mark.parametrize(("loser", "other"), [("red", "blue"), ("blue", "red")])
+def test_who_breaks_the_engine_has_lost_even_where_all_are_no_numbers_in_the_end(
+    loser: str, other: str, frame: int
+) -> None:
+    results = meddled(duel(), frame, shove(**{loser: 1e200}))
+    assert results[loser].score is None and f"(cube {loser}." in str(results[loser].fault)
+    assert results[other].score is not None and results[other].fault is None
+
+
+@pytest.mark.parametrize(
+    ("red", "blue", "losers"), [(1e4, 100.0, {"red"}), (200.0, 1e4, {"blue"}), (100.0, 200.0, {"red", "blue"})]
+)
+def test_who_blows_up_takes_nobody_down_who_is_beyond_a_limit_at_the_same_tick(
+    red: float, blue: float, losers: set[str]
+) -> None:
+    results = meddled(duel(limits={"speed": 10}), LATER, shove(red=red, blue=blue))
+    assert {role for role, result in results.items() if result.score is None} == losers
+    assert {role for role, result in results.items() if str(result.fault).startswith("beyond: ")} == losers
+    assert {frozenset(each.split(":")[0] for each in str(result.ended).split(", ")) for result in results.values()} == {
+        frozenset(losers)
+    }
 
 
 def test_who_never_comes_to_rest_has_lost_before_the_start() -> None:
