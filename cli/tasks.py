@@ -10,6 +10,7 @@ from nmes.cli._json import print_json
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import MatchTask, Task
 from nmes.evaluation.match_task import load_task
+from nmes.evaluation.setting import limit_words
 
 __all__ = ["command"]
 
@@ -70,7 +71,7 @@ def _show(task: Task | MatchTask) -> None:
     for title, condition in task.ends:
         table.add_row(f"ends: {title}", visible(condition.text, keep="\n"))
     table.add_row("lasts", f"{task.duration:g} s, after {document['settle']:g} s to settle")
-    table.add_row("limits", ", ".join(f"{limit} {value:,}" for limit, value in document["limits"].items()) or "none")
+    table.add_row("limits", limit_words(document["limits"]))
     if "newborn" in document:
         at_birth = ", ".join(f"{limit} {value:,}" for limit, value in document["newborn"].items())
         table.add_row("at birth", at_birth)

@@ -20,7 +20,16 @@ from typing import Any, Final, TypeAlias
 from nmes.backend import Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.evaluation.setting import MATCHES, Setting, changing, complete_task, crossed_bounds, infinite, read_task
+from nmes.evaluation.setting import (
+    MATCHES,
+    Setting,
+    changing,
+    complete_task,
+    crossed_bounds,
+    infinite,
+    read_limits,
+    read_task,
+)
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body
@@ -253,7 +262,8 @@ def _role(part: JsonObject, limits: JsonObject, objective: Objective) -> Role:
     target = part.get("target")
     x, y, z = map(float, part["position"])
     aim: Vector | str | None = target if target is None or isinstance(target, str) else _point(target)
-    return Role(part["name"], (x, y, z), float(part["heading"]), Limits(**{**limits, **part["limits"]}), objective, aim)
+    own = read_limits({**limits, **part["limits"]})
+    return Role(part["name"], (x, y, z), float(part["heading"]), own, objective, aim)
 
 
 def _point(numbers: list[float]) -> Vector:

@@ -38,6 +38,8 @@ __all__ = [
     "complete_task",
     "crossed_bounds",
     "infinite",
+    "limit_words",
+    "read_limits",
     "read_task",
     "task_identity",
 ]
@@ -53,6 +55,7 @@ _OURS: Final = {
     "life": "creatures on a task neither starve nor breed: an ecosystem is a world that is served",
     "roles": "who may do what is for worlds that are served; here nobody comes",
 }
+_FRICTION: Final = (0.5, 2)  # of cubes that set their own, where a task has no limit for it
 _TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its rows are kept, and somebody waits
 
 
@@ -225,6 +228,27 @@ def changing(body: Body) -> str | None:
     return None
 
 
+def _judged(limits: Mapping[str, Any]) -> JsonObject:
+    """Returns the limits of a task's document with that of friction, by which creatures are judged where it has none.
+
+    It is not among the schema's defaults, which are part of a task's hash: tasks keep the hashes that they had before
+    there was such a limit.
+    """
+    return {**limits, "friction": limits.get("friction", _FRICTION)}
+
+
+def read_limits(limits: Mapping[str, Any]) -> Limits:
+    """Returns the limits that a document with these ones means."""
+    least, most = _judged(limits)["friction"]
+    return Limits(**{**limits, "friction": (float(least), float(most))})
+
+
+def limit_words(limits: Mapping[str, Any]) -> str:
+    """Returns the limits that a document with these ones means, in words."""
+    each = ((name, value if isinstance(value, Sequence) else [value]) for name, value in _judged(limits).items())
+    return ", ".join(f"{name} {' to '.join(f'{bound:,}' for bound in bounds)}" for name, bounds in each)
+
+
 def infinite(limits: Limits) -> dict[str, float]:
     """Returns the limits of what a creature does, as `first_beyond` takes them: what is not limited is infinite."""
     bounds = {"energy": limits.energy, "speed": limits.speed, "spin": limits.spin}
@@ -270,6 +294,9 @@ def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
         if name in document["world"]:
             yield f"world/{name}", why
     yield from crossed_bounds((f"vary/{name}", value) for name, value in document["vary"].items())
+    limits = [("limits", document["limits"])]
+    limits += [(f"roles/{index}/limits", role["limits"]) for index, role in enumerate(document.get("roles", ()))]
+    yield from crossed_bounds((f"{path}/friction", each["friction"]) for path, each in limits if "friction" in each)
     if document["settle_limit"] < document["settle"]:
         yield "settle_limit", f"expected settle, {document['settle']:g}, or more, got {document['settle_limit']:g}"
     props = document["props"]

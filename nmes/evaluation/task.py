@@ -21,7 +21,17 @@ import numpy as np
 from nmes.backend import Array, Quaternion, Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.evaluation.setting import SHIPPED, Setting, changing, complete_task, crossed_bounds, infinite, read_task
+from nmes.evaluation.setting import (
+    SHIPPED,
+    Setting,
+    changing,
+    complete_task,
+    crossed_bounds,
+    infinite,
+    limit_words,
+    read_limits,
+    read_task,
+)
 from nmes.genome.body import Body, corners
 from nmes.genome.development import outgrown
 from nmes.genome.limits import Limits
@@ -92,7 +102,7 @@ class Task(Setting):
             names = ", ".join(role["name"] for role in document["roles"])
             raise DocumentError([("roles", f"this is a match of {names}, and no task for one creature")])
         super().__init__(document, {"objective": document.get("objective", "0")}, _problems(document))
-        self.limits = Limits(**document["limits"])
+        self.limits = read_limits(document["limits"])
         (self.objective,) = self._objectives
         self.duty = False
 
@@ -119,7 +129,7 @@ class Task(Setting):
             "time": f"{self.duration:g} s, {self.tick_rate} ticks a second",
             "seeds": ", ".join(map(str, self.seeds)),
             "ends": ", ".join(f"{end['name']}: {end['when']}" for end in self.document["ends"]) or None,
-            "limits": ", ".join(f"{name} {limit:g}" for name, limit in self.document["limits"].items()) or None,
+            "limits": limit_words(self.document["limits"]),
             "hash": self.hash[:16],
         }
         return card(f"Task {self.name}", facts)

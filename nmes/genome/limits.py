@@ -25,6 +25,7 @@ class Limits:
         neighbours: Mass of a cube, of that of another to which a joint joins it.
         effort: Of each motor: of a slide's, of the body's weight at 9.81 m/s^2; of a hinge's, of weight times size.
         restitution: Of each cube.
+        friction: Least and most of each cube that sets its own; others have that of the ground.
         energy: Work of its motors, J.
         speed: Of the centre of each cube, m/s.
         spin: Of each cube, rad/s.
@@ -37,6 +38,7 @@ class Limits:
     neighbours: float | None = None
     effort: float | None = None
     restitution: float | None = None
+    friction: tuple[float, float] | None = None
     energy: float | None = None
     speed: float | None = None
     spin: float | None = None
@@ -52,6 +54,7 @@ class Limits:
             if limit is not None and value > limit * (1.0 + 1e-9):
                 reasons.append(f"the body has {words.format(value, limit)}")
         reasons += self._unbuildable(body)
+        reasons += self._slippery(body)
         return reasons
 
     def _unbuildable(self, body: Body) -> Iterator[str]:
@@ -90,3 +93,13 @@ class Limits:
             value, name = max(values, default=(0.0, ""), key=lambda each: each[0])
             if limit is not None and value > limit * (1.0 + 1e-9):
                 yield words.format(name, value, limit)
+
+    def _slippery(self, body: Body) -> Iterator[str]:
+        """Yields why the surfaces of a body are none: the cube whose own friction is farthest below or above."""
+        if self.friction is None:
+            return
+        low, high = self.friction
+        own = [(cube.friction, cube.id) for cube in body.cubes if cube.friction is not None]
+        value, name = max(own, default=(low, ""), key=lambda each: max(low - each[0], each[0] - high))
+        if not low <= value <= high:
+            yield f"cube {name!r} has a friction of {value:g}, from {low:g} to {high:g} is allowed"

@@ -89,6 +89,11 @@ def test_a_role_has_the_limits_of_the_task_but_for_its_own() -> None:
     task = duel(limits={"cubes": 5, "mass": 10}, **roles({"limits": {"mass": 3}}, {}))
     assert (task.roles["red"].limits.cubes, task.roles["red"].limits.mass) == (5, 3)
     assert (task.roles["blue"].limits.cubes, task.roles["blue"].limits.mass) == (5, 10)
+    assert task.roles["blue"].limits.friction == (0.5, 2.0)
+    task = duel(limits={"friction": [1, 3]}, **roles({"limits": {"friction": [0, 4]}}, {}))
+    assert [role.limits.friction for role in task.roles.values()] == [(0.0, 4.0), (1.0, 3.0)]
+    with pytest.raises(DocumentError, match="roles/0/limits/friction: expected the lowest first, got 4 before 1"):
+        duel(**roles({"limits": {"friction": [4, 1]}}, {}))
 
 
 def test_defaults_unit_and_order_of_keys_change_no_hash_and_all_else_does() -> None:

@@ -16,6 +16,7 @@ from layout import ROOT
 from nmes.cli import main
 from nmes.errors import DocumentError
 from nmes.evaluation import Limits, MatchTask, Task, evaluate, prove
+from nmes.evaluation.match_task import load_task
 from nmes.evaluation.task import Place
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube
@@ -30,6 +31,32 @@ PLAIN: dict[str, Any] = {
     "objective": "displacement.x",
 }  # fmt: skip
 PROP: dict[str, Any] = {"id": "a", "size": [1, 1, 1], "mass": 1, "target": True}
+HASHES = {
+    "carry": "c9c34d5d0fb38cca",
+    "dark": "bbc051700161c51f",
+    "eyes": "ce9055a61318ee1a",
+    "gaps": "6908b5d77f80d399",
+    "growth": "5e37ddbcf8bb8584",
+    "injury": "609a0d11473c43f2",
+    "jump-far": "3274bde6c5684498",
+    "jump-high": "7ac536df24ef62c0",
+    "metamorphosis": "94765047e53047ca",
+    "planar-walk": "32c90a37b5ac04b5",
+    "pole": "14a4d2cbb5837f37",
+    "reach": "67936d3dae572224",
+    "rough": "59274cbbbf94f284",
+    "stairs": "3fde555a19498184",
+    "swim": "0048664579ff1aca",
+    "walk": "5bd2c6e7011f44eb",
+    "chase": "859dca577cfc038e",
+    "foraging": "0a2516eae1969887",
+    "interference": "121b28ee53cd5f75",
+    "interference-alone": "6e3c06d4383b0671",
+    "relay": "8cce94bf68ad0227",
+    "scout": "96147d4a39138750",
+    "sumo": "4ac6f3d49ffaf565",
+}
+"""How the hash of each task begins that ships."""
 PILLAR: dict[str, Any] = {"id": "a", "size": [1, 2, 1], "mass": 1, "position": [1, 0, 2]}
 
 
@@ -64,7 +91,7 @@ def test_a_task_is_loaded_from_a_file_and_hashed_by_what_it_says(tmp_path: Path)
     path.write_text(json.dumps(PLAIN, indent=4))
     task = Task.load(path)
     assert (task.name, task.duration, task.ticks, task.settle_ticks) == ("sprint", 5.0, 300, 30)
-    assert task.limits == Limits()
+    assert task.limits == Limits(friction=(0.5, 2.0))
     assert task.hash == Task(dict(reversed(PLAIN.items()))).hash
     assert task.hash != Task({**PLAIN, "duration": 6}).hash
 
@@ -110,6 +137,8 @@ def test_an_invalid_task_is_refused_with_all_its_mistakes(tmp_path: Path) -> Non
         ({"world": {"scene": {"type": "flat", "heightfield": {}}}}, "world/scene/heightfield", "only where type is"),
         ({"seeds": [1, 1]}, "seeds", "different seeds"),
         ({"limits": {"cubes": 0}}, "limits/cubes", "from 1"),
+        ({"limits": {"friction": [2, 1]}}, "limits/friction", "the lowest first"),
+        ({"limits": {"friction": [0, 11]}}, "limits/friction/1", "10"),
     ],
 )
 def test_a_mistake_in_a_task_has_a_path(changed: dict[str, Any], place: str, word: str) -> None:
@@ -237,6 +266,31 @@ def test_a_body_that_a_task_does_not_allow_is_refused_with_the_reason() -> None:
     for y, reasons in ((1.1, ["the task puts 'cargo' on the root, where the cube 'tail' is"]), (2.2, [])):
         body = Body((*block().cubes, replace(hat, position=(0.5, y, 0.5))), (), ())
         assert Task({**PLAIN, "objective": about, "props": props}).check(body) == reasons
+
+
+def test_a_task_says_what_friction_cubes_may_set_and_else_there_is_a_limit_that_is_no_part_of_it() -> None:
+    def with_friction(*frictions: float | None) -> Body:
+        body = block(*(f"c{number}" for number in range(len(frictions))))
+        return replace(body, cubes=tuple(replace(c, friction=f) for c, f in zip(body.cubes, frictions, strict=True)))
+
+    plain, wide, none = Task(PLAIN), *(Task({**PLAIN, "limits": {"friction": f}}) for f in ([0, 10], [1, 1]))
+    assert "friction" not in plain.document["limits"]
+    assert len({plain.hash, wide.hash, none.hash, Task({**PLAIN, "limits": {"friction": [0.5, 2]}}).hash}) == 4
+    for frictions in ((None,), (0.5, 2.0), (None, 1.0)):
+        assert plain.check(with_friction(*frictions)) == []
+    assert plain.check(with_friction(1.0, 0.4, 2.05)) == ["cube 'c1' has a friction of 0.4, from 0.5 to 2 is allowed"]
+    assert plain.check(with_friction(0.45, 3.0)) == ["cube 'c1' has a friction of 3, from 0.5 to 2 is allowed"]
+    assert wide.check(with_friction(0.0, 10.0)) == []
+    assert none.check(with_friction(1.0, 1.01)) == ["cube 'c1' has a friction of 1.01, from 1 to 1 is allowed"]
+    assert "limits          cubes 32" in (shown := CliRunner().invoke(main, ["tasks", "walk"]).stdout)
+    assert "friction 0.5 to 2" in " ".join(shown.split())
+
+
+@pytest.mark.parametrize(("name", "digest"), HASHES.items())
+def test_the_tasks_that_ship_are_the_same_as_ever(name: str, digest: str) -> None:
+    """By their hashes they are known to the corpus and to leaderboards: whoever means another task calls it so."""
+    task = load_task(name)
+    assert task.hash.startswith(digest)
 
 
 def test_the_duty_factor_is_of_those_that_touch_the_ground() -> None:

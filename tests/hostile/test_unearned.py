@@ -106,7 +106,7 @@ def test_who_comes_to_the_other_before_the_match_has_lost_it(role: str, other: s
 def test_who_is_moved_before_the_match_has_not_lost_it(role: str, other: str) -> None:
     """A bar on a hinge falls from a boom onto the other, and flings it farther than it moves itself."""
     cubes: list[Json] = [
-        {"id": "root", "size": [0.3, 0.3, 1.2], "mass": 405, "position": [0, 0.15, 0], "friction": 5},
+        {"id": "root", "size": [0.3, 0.3, 1.2], "mass": 405, "position": [0, 0.15, 0], "friction": 2},
         {"id": "boom", "size": [1.264, 0.06, 0.3], "mass": 15, "position": [0.782, 0.05, 0], "friction": 1},
         {"id": "bar", "size": [0.06, 1.513, 1], "mass": 60, "position": [1.577, 0.906, 0], "rotation": [0, 0, -0.286]},
     ]
@@ -198,7 +198,7 @@ def test_what_grew_and_is_cut_off_has_not_worked() -> None:
 def test_who_is_flung_by_a_limb_that_is_cut_off_has_not_walked(overlap: float) -> None:
     """The root lies in the limb it hangs on: once they are apart the heavy one throws it."""
     cubes: list[Json] = [
-        {"id": "root", "size": 0.3, "mass": 5, "position": [0.3 - overlap, 0.15, 0], "friction": 0},
+        {"id": "root", "size": 0.3, "mass": 5, "position": [0.3 - overlap, 0.15, 0], "friction": 0.5},
         {"id": "limb", "size": 0.3, "mass": 400, "position": [0, 0.15, 0], "friction": 1},
     ]
     joint = {"id": "j", "cube1": "root", "cube2": "limb", "type": "fixed", "anchor": [0.1, 0.15, 0]}
@@ -248,7 +248,56 @@ def test_who_stands_up_and_draws_its_leg_in_has_not_jumped() -> None:
 
 
 def test_who_does_nothing_has_not_won_where_the_other_goes_by_itself() -> None:
-    slab = {"id": "slab", "size": [1.9, 0.3, 1.9], "mass": 500, "position": [0, 0.15, 0], "friction": 5}
+    slab = {"id": "slab", "size": [1.9, 0.3, 1.9], "mass": 500, "position": [0, 0.15, 0], "friction": 2}
     (match,) = play("sumo", {"red": genome({"cubes": [slab]}), "blue": "seeker"}, seeds=[1])
     assert match.results["red"].ended == "out"
     assert [result.score for result in match.results.values()] == [0.0, 0.0]
+
+
+def sled(low: float | None, high: float | None) -> Genome:
+    """Returns a block that a foot kicks ahead once, by a slide, and that slides on; each with a friction of its own."""
+    own = [{} if friction is None else {"friction": friction} for friction in (low, high)]
+    cubes = [
+        {"id": "block", "size": [1, 1, 0.6], "mass": 50, "position": [0, 0.5, 0], **own[0]},
+        {"id": "foot", "size": 0.2, "mass": 2, "position": [-0.62, 0.1, 0], **own[1]},
+    ]
+    motor = {"mode": "velocity", "range": [-19, 19], "max_effort": 5050}
+    slide = {"type": "slide", "anchor": [-0.62, 0.1, 0], "axis": [-0.84, -0.54, 0], "limits": [-0.3, 1.7]}
+    joints = [{"id": "leg", "cube1": "block", "cube2": "foot", **slide, "motor": motor}]
+    nodes: list[Json] = [
+        {"id": "done", "activation": "step", "bias": -140},
+        {"id": "kick", "motor": "leg", "activation": "identity", "bias": 1},
+    ]
+    links = [
+        {"sensor": "leg.position", "to": "done", "weight": 100},
+        {"from": "done", "to": "done", "weight": 1000},
+        {"from": "done", "to": "kick", "weight": -1.1},
+    ]
+    return genome({"cubes": cubes, "joints": joints}, brain={"kind": "graph", "nodes": nodes, "links": links})
+
+
+@pytest.mark.parametrize("name", ["walk", "gaps", "rough", "planar-walk"])
+def test_who_sets_its_own_friction_sets_what_is_found_on_grounds(name: str) -> None:
+    task = Task.load(name)
+    for low, high, cube, friction in ((0, 10, "foot", 10), (0, 2, "block", 0), (0.5, 2.01, "foot", 2.01)):
+        evaluation = evaluate(sled(low, high), task)
+        why = f"cube '{cube}' has a friction of {friction:g}, from 0.5 to 2 is allowed"
+        assert why in str(evaluation.error) and evaluation.results == ()
+    for allowed in (sled(None, None), sled(0.5, 2), sled(None, 1.5)):
+        assert task.check(allowed.body) == []
+
+
+def test_a_sled_without_friction_would_slide_to_the_end() -> None:
+    walk = Task.load("walk")
+    lenient = Task({**walk.document, "limits": {**walk.document["limits"], "friction": [0, 10]}})
+    (slippery,) = evaluate(sled(0, 10), lenient, seeds=[1]).results
+    (allowed,) = evaluate(sled(0.5, 2), walk, seeds=[1]).results
+    assert slippery.score is not None and slippery.score > 100.0
+    assert allowed.score is not None and allowed.score < 40.0
+
+
+@pytest.mark.parametrize("name", MatchTask.names())
+def test_matches_refuse_such_surfaces_too(name: str) -> None:
+    task = MatchTask.load(name)
+    for role in task.roles:
+        assert "cube 'foot' has a friction of 10, from 0.5 to 2 is allowed" in task.check(role, sled(0, 10).body)

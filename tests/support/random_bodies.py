@@ -218,7 +218,7 @@ def _size(draw: Draw, *, root: bool) -> list[float]:
 def _surface(draw: Draw) -> Json:
     surface: Json = {}
     if draw.chance(0.4):
-        surface["friction"] = draw.number((0.0, 2.0), (0.0, 10.0))
+        surface["friction"] = draw.number((0.5, 2.0), (0.0, 10.0))
     if draw.chance(0.2):
         surface["restitution"] = draw.number((0.0, 0.5), (0.0, 1.0))
     return surface

@@ -47,7 +47,7 @@ def rover(weights: Array) -> dict[str, Any]:
              "anchor": [0, 0.2, z]},
         ]  # fmt: skip
     for end, x in (("front", 0.3), ("rear", -0.3)):
-        cubes.append({"id": end, "size": [0.1, 0.19, 0.1], "mass": 0.5, "position": [x, 0.115, 0], "friction": 0})
+        cubes.append({"id": end, "size": [0.1, 0.19, 0.1], "mass": 0.5, "position": [x, 0.115, 0], "friction": 0.5})
         joint = {"id": f"{end}_foot", "cube1": "hull", "cube2": end, "type": "fixed", "anchor": [x, 0.21, 0]}
         joints.append(joint)
     ears = [{"type": "hear", "cube": "hull", "channel": "lead", "number": number} for number in (1, 2)]
