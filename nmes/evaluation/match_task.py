@@ -181,6 +181,7 @@ class MatchTask(Setting):
         asked = {quantity.cube for quantity in self.needs if quantity.role == role and quantity.cube is not None}
         why = changing(body)
         reasons = [] if why is None else [f"{why}, and in a match bodies keep their parts"]
+        reasons += self.too_stiff(body)
         return reasons + [f"the task is about a cube {name!r}, which the body has not" for name in sorted(asked - ids)]
 
     def sides(self, seed: int) -> list[tuple[int, ...]]:

@@ -18,6 +18,7 @@ from nmes.errors import DocumentError, NmesError
 from nmes.genome.body import Body
 from nmes.genome.limits import Limits
 from nmes.genome.sensors import NEEDED
+from nmes.genome.springs import too_stiff
 from nmes.objective import Cast, Condition, Objective
 from nmes.protocol import complete_config
 from nmes.schemas.documents import (
@@ -134,6 +135,10 @@ class Setting:
     def settle_limit_ticks(self) -> int:
         """Ticks before the start, at the most."""
         return round(float(self.document["settle_limit"]) * self.tick_rate)
+
+    def too_stiff(self, body: Body) -> list[str]:
+        """Returns the reasons why the engine cannot integrate the springs of a body, in words; none if it can."""
+        return too_stiff(body, 1.0 / (self.tick_rate * self.substeps))
 
     def draw(self, seed: int, what: str, bounds: Sequence[float]) -> float:
         """Draws a number, evenly: the same on every machine."""

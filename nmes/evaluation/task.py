@@ -296,7 +296,7 @@ class Task(Setting):
     def _unsuited(self, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not take part."""
         ids, props = {cube.id for cube in body.cubes}, self.prop_ids()
-        reasons = self._unborn(body)
+        reasons = [*self._unborn(body), *self.too_stiff(body)]
         reasons += [
             f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
         ]

@@ -296,8 +296,39 @@ def test_a_sled_without_friction_would_slide_to_the_end() -> None:
     assert allowed.score is not None and allowed.score < 40.0
 
 
+def flapper(stiffness: float) -> Genome:
+    """Returns a hull with a plate on a spring behind it, and a fin that the overlap of two cubes has set going."""
+    cubes: list[Json] = [
+        {"id": "hull", "size": [2, 0.2, 0.2], "mass": 22.14, "position": [0, 1, 0]},
+        {"id": "plate", "size": [0.6415, 0.8914, 0.02], "mass": 0.2236, "position": [-1.33075, 1, 0]},
+        {"id": "weight", "size": 0.1, "mass": 0.2236, "position": [0.5, 1, 0.15]},
+        {"id": "fin", "size": 0.1, "mass": 0.2236, "position": [0.400027, 1, 0.15]},
+    ]
+    upright: Json = {"type": "hinge", "axis": [0, 1, 0]}
+    joints = [
+        {"id": "tail", "cube1": "hull", "cube2": "plate", "anchor": [-1, 1, 0], **upright, "stiffness": stiffness},
+        {"id": "f", "cube1": "hull", "cube2": "weight", "type": "fixed", "anchor": [0.5, 1, 0.1]},
+        {"id": "h", "cube1": "hull", "cube2": "fin", "anchor": [0.4, 1, 0.1], **upright, "damping": 0.10637},
+    ]
+    return genome({"cubes": cubes, "joints": joints})
+
+
+def test_who_swings_on_a_spring_that_no_engine_can_follow_may_not_swim() -> None:
+    """It has no motor: the spring alone, of two radians and more in a step of the engine, drove it."""
+    task = Task.load("swim")
+    evaluation = evaluate(flapper(10109), task)
+    assert evaluation.results == () and "the spring of joint 'tail' may swing at " in str(evaluation.error)
+    assert "at most 240 are allowed: the engine's steps are of 0.00417 s" in str(evaluation.error)
+    soft = evaluate(flapper(220), task, seeds=[1])
+    assert soft.error is None and soft.results[0].score == 0.0
+    finer = Task({**task.document, "world": {**task.document["world"], "substeps": 28}})
+    fine = evaluate(flapper(10109), finer, seeds=[1])
+    assert fine.error is None and fine.results[0].score == 0.0
+
+
 @pytest.mark.parametrize("name", MatchTask.names())
-def test_matches_refuse_such_surfaces_too(name: str) -> None:
+def test_matches_refuse_such_surfaces_and_springs_too(name: str) -> None:
     task = MatchTask.load(name)
     for role in task.roles:
         assert "cube 'foot' has a friction of 10, from 0.5 to 2 is allowed" in task.check(role, sled(0, 10).body)
+        assert any("the spring of joint 'tail' may swing" in why for why in task.check(role, flapper(10109).body))

@@ -15,7 +15,8 @@ import pytest
 from creatures import exploding, snake
 from driven import record_driven
 from nmes.backend import Array
-from nmes.errors import ProofError, RecordingError
+from nmes.backends.mujoco3d import MujocoSimulation
+from nmes.errors import ProofError, RecordingError, SimulationFault
 from nmes.evaluation import Environments, Task, evaluate, prove
 from nmes.genome import Genome
 from nmes.learning import RecordedEpisode, read_episode
@@ -134,7 +135,9 @@ def test_a_recording_that_ends_too_early_is_refused(tmp_path: Path) -> None:
     assert info.value.code == "damaged"
 
 
-def test_an_episode_without_actions_or_ticks_has_nothing_to_tell(tmp_path: Path) -> None:
+def test_an_episode_without_actions_or_ticks_has_nothing_to_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     record_driven(tmp_path / "idle.mcap", Genome(snake(None)), task(), 3, None)
     assert prove(tmp_path / "idle.mcap").result.score is not None
     with pytest.raises(ProofError, match=r"idle\.mcap: nobody drives the creature at frame \d+") as info:
@@ -146,13 +149,12 @@ def test_an_episode_without_actions_or_ticks_has_nothing_to_tell(tmp_path: Path)
     with pytest.raises(ProofError, match=r"restless\.mcap: .*not yet at rest") as info:
         read_episode(tmp_path / "restless.mcap")
     assert info.value.code == "nothing_to_export"
-    flung = snake()
-    for part in flung["body"]["cubes"]:
-        part["mass"] = 0.001
-    for joint in flung["body"]["joints"]:
-        joint["stiffness"] = 1e6
-    asked = task(world={"gravity": [0, -1000, 0], "tick_rate": 10, "substeps": 1}, vary={"drop": [5, 5]})
-    result = record_driven(tmp_path / "failed.mcap", Genome(flung), asked, 3, draws(3))
+
+    def fail(simulation: MujocoSimulation, substeps: int) -> None:
+        raise SimulationFault("diverged", "it is off")
+
+    monkeypatch.setattr(MujocoSimulation, "step", fail)
+    result = record_driven(tmp_path / "failed.mcap", Genome(snake()), task(), 3, draws(3))
     assert (result.fault or "").startswith("diverged") and result.ticks == 0
     with pytest.raises(ProofError, match=r"failed\.mcap: .*diverged") as info:
         read_episode(tmp_path / "failed.mcap")
