@@ -21,6 +21,7 @@ from nmes.backend.shapes import Shape
 from nmes.evaluation.balance import Balance, Excess
 from nmes.evaluation.judge import Judge, Observer, Watched
 from nmes.evaluation.task import ALONE, Place, Task
+from nmes.genome.body import Body
 from nmes.objective.changing import ChangingTrajectory
 from nmes.objective.trajectory import ObservedBodies
 from nmes.world import World
@@ -67,15 +68,16 @@ class ChangingJudge(Judge):
         self._now, self._rise = balance, balance.rise
         self._change: _Change | None = None
 
-    def change(self, balance: Balance, columns: Columns, change: _Change | None) -> None:
+    def change(self, balance: Balance, columns: Columns, change: _Change | None, stature: float) -> None:
         """Takes note of what is there from the next row on.
 
         Args:
             balance: Of the energy of what is there then.
             columns: Where that is in the rows.
             change: What is other than before; None at the start.
+            stature: As `ChangingTrajectory.change`.
         """
-        self.trajectory.change(balance.bodies, columns)
+        self.trajectory.change(balance.bodies, columns, stature)
         self._now, self._change = balance, change
         self._rise = min(self._rise, balance.rise)  # of the lightest body that it was
 
@@ -179,7 +181,7 @@ class ChangingObserver(Observer):
                 np.setdiff1d(springs, self._moved),
             )
             self._lost, self._went = set(), 0.0
-        self.judge.change(balance, np.array(columns, np.intp), change)
+        self.judge.change(balance, np.array(columns, np.intp), change, _stature(creature.present))
         self._parts, self._balance, self._layout = parts, balance, creature.layout
         self._moved, self._driven, self._seen = springs, motors, self.judge.trajectory.rows
         kinds = (self._springs, springs), (self._motors, motors)
@@ -240,6 +242,11 @@ class ChangingObserver(Observer):
             positions[:, self._moved] = track.positions(begin, end)
             self._ended = judge.take(states, powers, positions)
         return self._ended
+
+
+def _stature(body: Body) -> float:
+    """Returns how high the centre of mass of a body is above its lowest point in the pose of its document, m."""
+    return total(cube.mass * cube.position[1] for cube in body.cubes) / body.mass - body.bounds[0][1]
 
 
 def _some(bodies: ObservedBodies, rows: list[int]) -> ObservedBodies:

@@ -193,7 +193,7 @@ class Task(Setting):
     @property
     def touchy(self) -> bool:
         """Whether an episode's judge must be told what touches what."""
-        return self.duty or any(quantity.name == "contacts" for quantity in self.needs)
+        return self.duty or any(quantity.name in ("contacts", "grown") for quantity in self.needs)
 
     # -- episodes ------------------------------------------------------------------------------------------------
 

@@ -30,12 +30,14 @@ class _Stage:
         first: The first of them.
         bodies: What is there.
         columns: The columns of the whole trajectory in which that is.
+        stature: How high the centre of what is there of the body is above its lowest point in the document's pose, m.
         origins: From where displacements are measured, of the body (None) and of cubes.
     """
 
     first: int
     bodies: ObservedBodies
     columns: npt.NDArray[np.intp]
+    stature: float
     origins: dict[str | None, Array] = field(default_factory=dict)
 
 
@@ -52,16 +54,17 @@ class ChangingTrajectory(Trajectory):
         super().__init__(bodies, ticks, motors + 1, contacts=contacts)
         self._stages: list[_Stage] = []
 
-    def change(self, bodies: ObservedBodies, columns: npt.NDArray[np.intp]) -> None:
+    def change(self, bodies: ObservedBodies, columns: npt.NDArray[np.intp], stature: float = 0.0) -> None:
         """Takes note of what is there from the next row on.
 
         Args:
             bodies: All of it, in the order of the columns.
             columns: Where that is in the rows.
+            stature: How high the centre of mass of the body is above its lowest point in the pose of its document, m.
         """
         if self._stages and self._stages[-1].first == self.rows:
             self._stages.pop()
-        self._stages.append(_Stage(self.rows, bodies, columns))
+        self._stages.append(_Stage(self.rows, bodies, columns, stature))
 
     @property
     def there(self) -> npt.NDArray[np.intp]:
@@ -75,8 +78,20 @@ class ChangingTrajectory(Trajectory):
             return in_order(self.work[begin:end, :-1])
         if quantity.name in _OF_NO_CUBES:
             return super().series(quantity, begin, end)
+        if quantity.name == "grown":
+            return self._grown(begin, end)
         parts = [self._series(number, quantity, first, last) for number, first, last in self._pieces(begin, end)]
         return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _grown(self, begin: int, end: int) -> Array:
+        """Returns how much higher the body is by what has grown: what flies, or is lifted, has not grown."""
+        rises = self.series(Quantity("height"), begin, end) - self.series(Quantity("height"), 0, 1)
+        born = self._stages[0].stature
+        gained = [
+            np.full(last - first, self._stages[at].stature - born) for at, first, last in self._pieces(begin, end)
+        ]
+        standing = self.series(Quantity("contacts"), begin, end) > 0.0
+        return np.where(standing, np.maximum(np.minimum(rises, np.concatenate([np.zeros(0), *gained])), 0.0), 0.0)
 
     def first_beyond(self, begin: int, end: int, *, energy: float, speed: float, spin: float) -> tuple[int, str] | None:
         """As `Trajectory.first_beyond`."""

@@ -41,6 +41,11 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
         "J",
     ),
     "work": ("the same, without what parts that came since have brought along of motion and height", "J"),
+    "grown": (
+        "how much higher the centre of mass is than at the start, no more than by what has grown since: in the pose "
+        "of the document; 0 while it touches nothing that is not one of its cubes",
+        "m",
+    ),
     "cubes": ("how many cubes it has", ""),
     "mass": ("of all its cubes", "kg"),
 }

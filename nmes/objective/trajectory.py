@@ -493,6 +493,8 @@ class Block:
                 masses = self.bodies.masses[columns]
                 value = float(len(masses)) if name == "cubes" else float(in_order(masses))
                 return np.full(len(self.states), value)
+            case "grown":
+                return np.zeros(len(self.states))  # of a body that keeps its parts; see `ChangingTrajectory`
             case "contacts":
                 count: Array = self.touches[:, columns, 0 if quantity.cube is not None else 1].sum(
                     axis=1, dtype=np.float64

@@ -367,6 +367,7 @@ def reckon(trajectory: Trajectory, row: int, quantity: Quantity) -> float:
         "time_upright": lambda: sum(cosine >= 0.5 for cosine in up[1:]) / bodies.tick_rate,
         "energy": lambda: trajectory.work[row].sum(),
         "work": lambda: trajectory.work[row].sum(),
+        "grown": lambda: 0.0,  # of a body that keeps its parts
         "contacts": lambda: sum(trajectory.touches[row, i, 0 if quantity.cube else 1] for i in who),
         "cubes": lambda: len(who),
         "mass": lambda: mass,

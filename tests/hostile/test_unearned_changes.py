@@ -1,0 +1,121 @@
+"""Who changes its body, throws parts of it away or stretches it out without end scores nothing for that."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from nmes.evaluation import Task, evaluate
+from nmes.genome import Genome
+
+Json = dict[str, Any]
+
+
+def cube(name: str, size: Any, mass: float, position: list[float], **more: Any) -> Json:
+    return {"id": name, "size": size, "mass": mass, "position": position, **more}
+
+
+def slide(one: str, two: str, anchor: list[float], axis: list[float], speed: float, effort: float, **more: Any) -> Json:
+    motor = {"mode": "velocity", "range": [-speed, speed], "max_effort": effort}
+    ends = {"id": "slide", "cube1": one, "cube2": two, "type": "slide"}
+    return {**ends, "anchor": anchor, "axis": axis, "motor": motor, **more}
+
+
+def genome(cubes: list[Json], joints: list[Json], offset: float = 1.0, **more: Any) -> Genome:
+    """Returns a creature that pushes each of its slides outwards, unless it has another brain."""
+    brain = {"kind": "sine", "oscillators": [{"motor": "*", "frequency": 0, "amplitude": 0, "offset": offset}]}
+    body = {"cubes": cubes, "joints": joints}
+    return Genome({"format": "nmes-genome/1", "name": "cheat", "body": body, "brain": brain, **more})
+
+
+# -- height that is not grown -----------------------------------------------------------------------------------------
+
+
+def rocket() -> Genome:
+    """Returns one that grows a block under itself in the air, kicks off from it and sheds it, again and again."""
+    loaded, spent = 'sense("slide.position") > 0.1', 'has("gun") < 1 && sense("root.velocity.y") < 14'
+    return genome(
+        [cube("root", [0.2, 0.1, 0.2], 0.5, [0, 0.35, 0]), cube("gun", [0.24, 0.3, 0.24], 2, [0, 0.15, 0])],
+        [slide("gun", "root", [0, 0.3, 0], [0, 1, 0], 4, 45, limits=[0, 100])],
+        sensors=[{"type": "position", "joint": "slide"}, {"type": "velocity", "cube": "root"}],
+        development=[
+            {"when": f'has("gun") > 0 && {loaded}', "shed": ["gun"], "times": 64, "every": 0.1},
+            {"when": spent, "grow": ["gun"], "times": 64, "every": 0.1},
+        ],
+    )
+
+
+def mast() -> Genome:
+    """Returns a weight on a slide as long as one likes."""
+    return genome(
+        [cube("base", [0.5, 0.1, 0.5], 10, [0, 0.05, 0]), cube("top", [0.4, 0.3, 0.4], 90, [0, 0.25, 0])],
+        [slide("base", "top", [0, 0.1, 0], [0, 1, 0], 10, 2943, limits=[0, 60])],
+    )
+
+
+def hopper(back: float) -> Genome:
+    """Returns two cubes that jump; where they draw the leg in fast, that is beyond the limit of speed."""
+    return genome(
+        [cube("torso", [0.3, 0.3, 0.3], 5, [0, 0.25, 0]), cube("foot", [0.45, 0.1, 0.45], 1, [0, 0.05, 0])],
+        [slide("foot", "torso", [0, 0.1, 0], [0, 1, 0], 60, 559.17, limits=[0, 3])],
+        sensors=[{"type": "height", "cube": "torso"}],
+        brain={
+            "kind": "graph",
+            "nodes": [
+                {"id": "up", "activation": "step", "bias": -1200},
+                {"id": "leg", "motor": "slide", "activation": "identity", "bias": 0.3},
+            ],
+            "links": [
+                {"sensor": "torso.height", "to": "up", "weight": 100},
+                {"from": "up", "to": "up", "weight": 1000},
+                {"from": "up", "to": "leg", "weight": back},
+            ],
+        },
+    )
+
+
+def shedder() -> Genome:
+    """Returns one that sheds the heavy foot it stands on, and goes on standing on it."""
+    return genome(
+        [cube("root", 0.24, 0.5, [0, 0.36, 0]), cube("foot", 0.24, 50, [0, 0.12, 0])],
+        [slide("foot", "root", [0, 0.24, 0], [0, 1, 0], 1, 100)],
+        offset=0.0,
+        development=[{"when": "age >= 0", "shed": ["foot"]}],
+    )
+
+
+GROWTH = Task.load("growth")
+
+
+@pytest.mark.parametrize(
+    ("cheat", "had"),
+    [(rocket(), 60.0), (mast(), 1.5), (hopper(-0.3), 5.0), (hopper(-2.0), 5.0), (shedder(), 0.2)],
+    ids=["rocket", "mast", "hopper", "who-breaks-off-on-the-way-up", "shedder"],
+)
+def test_height_that_is_not_grown_is_worth_nothing(cheat: Genome, had: float) -> None:
+    (result,) = evaluate(cheat, GROWTH, seeds=[1]).results
+    assert result.fault is None and result.score == 0.0
+    before = Task({**GROWTH.document, "objective": "max(0, mean.height - start.height - 0.01)"})
+    (fooled,) = evaluate(cheat, before, seeds=[1]).results
+    assert fooled.score is not None and fooled.score > had
+
+
+def test_who_breaks_off_early_has_grown_for_no_longer() -> None:
+    """After five seconds it grows what is too heavy for its limit of energy, when it has grown and it is no higher."""
+    beanstalk = Genome.load("beanstalk").document
+    first, second = beanstalk["development"]
+    late = Genome({**beanstalk, "development": [first, {**second, "when": "age > 5"}]})
+    limits = {**GROWTH.document["limits"], "energy": 1500}
+    (result,) = evaluate(late, Task({**GROWTH.document, "limits": limits}), seeds=[1]).results
+    grown = Task({**GROWTH.document, "limits": limits, "objective": "mean.grown - 0.01"})
+    (mean,) = evaluate(late, grown, seeds=[1]).results
+    assert result.ended == "energy" and 300 < result.ticks < 330
+    assert result.score is not None and mean.score is not None
+    assert 0.5 < result.score == pytest.approx(mean.score * result.ticks / 600)
+
+
+def test_no_body_that_keeps_its_parts_has_grown() -> None:
+    asked = Task({**GROWTH.document, "newborn": {}, "objective": "max.grown - min.grown + (max.height > 0.0 ? 1 : 0)"})
+    for name in ("jumper", "walker"):
+        assert [result.score for result in evaluate(name, asked, seeds=[1]).results] == [1.0]
