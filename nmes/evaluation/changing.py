@@ -3,7 +3,7 @@
 Hides that an engine keeps the rows of one set of cubes only, and what energy parts bring along and take with them. What
 a part has of motion and height when it comes counts as work of the creature, in what it used and in its balance of
 energy: so nobody rises or runs on parts that are free. What it has when it goes is gone: so nobody is flung by a part
-that is cut off.
+that is cut off. What a creature sheds by itself is told to the trajectory: so nobody is flung by kicking off from it.
 """
 
 from __future__ import annotations
@@ -68,16 +68,19 @@ class ChangingJudge(Judge):
         self._now, self._rise = balance, balance.rise
         self._change: _Change | None = None
 
-    def change(self, balance: Balance, columns: Columns, change: _Change | None, stature: float) -> None:
+    def change(
+        self, balance: Balance, columns: Columns, change: _Change | None, *, shed: float, stature: float
+    ) -> None:
         """Takes note of what is there from the next row on.
 
         Args:
             balance: Of the energy of what is there then.
             columns: Where that is in the rows.
             change: What is other than before; None at the start.
-            stature: As `ChangingTrajectory.change`.
+            shed: As `ChangingTrajectory.change`.
+            stature: Likewise.
         """
-        self.trajectory.change(balance.bodies, columns, stature)
+        self.trajectory.change(balance.bodies, columns, shed=shed, stature=stature)
         self._now, self._change = balance, change
         self._rise = min(self._rise, balance.rise)  # of the lightest body that it was
 
@@ -124,6 +127,8 @@ class ChangingObserver(Observer):
         self._parts: dict[int, tuple[str, int]] = {}  # the names and numbers of what is there, by the columns
         self._lost: set[int] = set()  # the columns of what went since the last row, and its energy, J
         self._went = 0.0
+        self._loose: dict[tuple[str, int], float] = {}  # the parts that it has shed by itself, and their masses, kg
+        self._shrunk = 0.0  # the mass of what is gone since parts became smaller, kg
         self._driven = self._moved = np.zeros(0, np.intp)
         self.note = self._note
         self._follow()
@@ -164,6 +169,7 @@ class ChangingObserver(Observer):
         old, parts = self._parts, self._there()
         columns = [*parts]
         if old:
+            self._leave(parts)
             self._lose(parts)
         springs, motors = (
             np.array([at for at, joint in enumerate(joints) if joint.id in creature.joints], np.intp)
@@ -181,7 +187,8 @@ class ChangingObserver(Observer):
                 np.setdiff1d(springs, self._moved),
             )
             self._lost, self._went = set(), 0.0
-        self.judge.change(balance, np.array(columns, np.intp), change, _stature(creature.present))
+        shed, stature = self._shrunk + total(self._loose.values()), _stature(creature.present)
+        self.judge.change(balance, np.array(columns, np.intp), change, shed=shed, stature=stature)
         self._parts, self._balance, self._layout = parts, balance, creature.layout
         self._moved, self._driven, self._seen = springs, motors, self.judge.trajectory.rows
         kinds = (self._springs, springs), (self._motors, motors)
@@ -193,6 +200,20 @@ class ChangingObserver(Observer):
     def cut(self) -> None:
         """Takes note of what was cut off after the last row, before it moves; it is still in the world."""
         self._lose(self._there())
+
+    def _leave(self, there: Mapping[int, tuple[str, int]]) -> None:
+        """Takes note of the mass that the creature has left behind by itself since the last row, or taken up again."""
+        cubes, masses = self._world.entities.cubes, self._balance.bodies.masses.tolist()
+        for (column, part), mass in zip(self._parts.items(), masses, strict=True):
+            if column in self._lost or there.get(column) == part:  # the task has cut it off, or it is there
+                continue
+            name, number = part
+            if name in cubes and cubes[name].body == number:
+                self._loose[part] = mass
+            elif column in there:  # of another size
+                self._shrunk += max(mass - self.creature.form.cubes[column].mass, 0.0)
+        for part in there.values():
+            self._loose.pop(part, None)
 
     def _lose(self, there: Mapping[int, tuple[str, int]]) -> None:
         """Adds what went since the last row or `cut`: what it has now, or had in that row if it is nowhere any more."""

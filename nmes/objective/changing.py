@@ -30,6 +30,7 @@ class _Stage:
         first: The first of them.
         bodies: What is there.
         columns: The columns of the whole trajectory in which that is.
+        share: The mass of the body that is there, of that and of all that it has shed.
         stature: How high the centre of what is there of the body is above its lowest point in the document's pose, m.
         origins: From where displacements are measured, of the body (None) and of cubes.
     """
@@ -37,6 +38,7 @@ class _Stage:
     first: int
     bodies: ObservedBodies
     columns: npt.NDArray[np.intp]
+    share: float
     stature: float
     origins: dict[str | None, Array] = field(default_factory=dict)
 
@@ -45,7 +47,8 @@ class ChangingTrajectory(Trajectory):
     """A trajectory with columns for all cubes that may be there; those of what is not there hold zeros.
 
     How far the body has come, its `displacement`, goes on through a change as if its centre had moved on in that
-    tick at the velocity that it has then: to grow forwards, or to shed what is behind, is no way. What a part brings
+    tick at the velocity that it has then: to grow forwards, or to shed what is behind, is no way. What it has shed by
+    itself counts as if it stayed where that was done, so that to kick off from it is no way either. What a part brings
     along in motion and height, when it comes, is in the last column of `work`, after the motors'.
     """
 
@@ -54,17 +57,21 @@ class ChangingTrajectory(Trajectory):
         super().__init__(bodies, ticks, motors + 1, contacts=contacts)
         self._stages: list[_Stage] = []
 
-    def change(self, bodies: ObservedBodies, columns: npt.NDArray[np.intp], stature: float = 0.0) -> None:
+    def change(
+        self, bodies: ObservedBodies, columns: npt.NDArray[np.intp], *, shed: float = 0.0, stature: float = 0.0
+    ) -> None:
         """Takes note of what is there from the next row on.
 
         Args:
             bodies: All of it, in the order of the columns.
             columns: Where that is in the rows.
+            shed: The mass of what the body has shed by itself so far, kg.
             stature: How high the centre of mass of the body is above its lowest point in the pose of its document, m.
         """
         if self._stages and self._stages[-1].first == self.rows:
             self._stages.pop()
-        self._stages.append(_Stage(self.rows, bodies, columns, stature))
+        mass = float(in_order(bodies.masses[bodies.columns(None)]))
+        self._stages.append(_Stage(self.rows, bodies, columns, mass / (mass + shed), stature))
 
     @property
     def there(self) -> npt.NDArray[np.intp]:
@@ -119,7 +126,9 @@ class ChangingTrajectory(Trajectory):
             self._find_origins(number)
         elif cube not in stage.origins:
             stage.origins[cube] = self._first_place(cube)
-        return self._block(stage, begin, end).series(quantity)
+        series = self._block(stage, begin, end).series(quantity)
+        way = quantity.name.startswith("displacement") or (quantity.name == "distance" and self.bodies.target is None)
+        return series * stage.share if cube is None and way else series
 
     def _block(self, stage: _Stage, begin: int, end: int) -> Block:
         rows = self.states[begin:end, stage.columns], np.zeros(end - begin), self.touches[begin:end, stage.columns]
@@ -138,8 +147,10 @@ class ChangingTrajectory(Trajectory):
                 continue
             here = self._centre(number, stage.first)
             if number:
-                come = self._centre(number - 1, stage.first - 1) - self._stages[number - 1].origins[None][0]
-                here = here - (come + self._centre(number, stage.first, "velocity") / self.bodies.tick_rate)
+                before, share = self._stages[number - 1], stage.share
+                come = (self._centre(number - 1, stage.first - 1) - before.origins[None][0]) * before.share
+                moved = self._centre(number, stage.first, "velocity") / self.bodies.tick_rate
+                here = here - (come + moved * share) / share
             stage.origins[None] = here[np.newaxis]
 
     def _first_place(self, cube: str) -> Array:

@@ -119,3 +119,43 @@ def test_no_body_that_keeps_its_parts_has_grown() -> None:
     asked = Task({**GROWTH.document, "newborn": {}, "objective": "max.grown - min.grown + (max.height > 0.0 ? 1 : 0)"})
     for name in ("jumper", "walker"):
         assert [result.score for result in evaluate(name, asked, seeds=[1]).results] == [1.0]
+
+
+# -- ways that what was shed had to give ------------------------------------------------------------------------------
+
+
+def cannon(ball: Json, gun: Json, barrel: Json, away: Json) -> Genome:
+    """Returns a light ball that is shot off a heavy block, which goes away then."""
+    return genome(
+        [ball, gun],
+        [barrel],
+        sensors=[{"type": "position", "joint": "slide"}],
+        development=[{"when": 'sense("slide.position") > 0.3', **away}],
+    )
+
+
+def puck(*, shrinks: bool = False) -> Genome:
+    mass, speed, effort = (200, 10, 1700) if shrinks else (450, 19.4, 5000)
+    ball = cube("ball", 0.3, 5, [0, 0.15, 0], shape="sphere", friction=0)
+    gun = cube("gun", [0.6, 0.8, 0.6], mass, [-0.46, 0.4, 0], friction=2)
+    away = {"resize": [{"part": "gun", "scale": 0.4}]} if shrinks else {"shed": ["gun"]}
+    return cannon(ball, gun, slide("gun", "ball", [0, 0.15, 0], [1, 0, 0], speed, effort), away)
+
+
+def missile() -> Genome:
+    ball = cube("ball", [0.3, 0.1, 0.3], 5, [0, 1.36, 0], friction=0.3)
+    gun = cube("gun", [0.26, 1.3, 0.26], 120, [0, 0.65, 0], friction=2)
+    return cannon(ball, gun, slide("gun", "ball", [0, 1.36, 0], [0.98, 0.199, 0], 19.4, 10000), {"shed": ["gun"]})
+
+
+@pytest.mark.parametrize(
+    ("name", "cheat"),
+    [("injury", puck()), ("injury", puck(shrinks=True)), ("metamorphosis", missile())],
+    ids=["shed", "shrunk", "in-water"],
+)
+def test_who_is_shot_off_what_it_sheds_has_not_come_far(name: str, cheat: Genome) -> None:
+    task = Task.load(name)
+    (result,) = evaluate(cheat, task, seeds=[1]).results
+    assert result.fault is None and not result.ended
+    assert result.score == 0.0
+    assert 0.0 < result.distance < 25.0
