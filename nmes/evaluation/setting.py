@@ -255,8 +255,12 @@ def limit_words(limits: Mapping[str, Any]) -> str:
 
 
 def infinite(limits: Limits) -> dict[str, float]:
-    """Returns the limits of what a creature does, as `first_beyond` takes them: what is not limited is infinite."""
-    bounds = {"energy": limits.energy, "speed": limits.speed, "spin": limits.spin}
+    """Returns the limits of what a creature does, as `first_beyond` takes them: what is not limited is infinite.
+
+    A body may not stretch farther than one that is as large as may be at rest: from corner to corner of its box.
+    """
+    farthest = None if limits.size is None else limits.size * math.sqrt(3.0)
+    bounds = {"energy": limits.energy, "speed": limits.speed, "spin": limits.spin, "size": farthest}
     return {name: math.inf if limit is None else limit for name, limit in bounds.items()}
 
 

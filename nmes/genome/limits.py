@@ -20,7 +20,8 @@ class Limits:
     Attributes:
         cubes: How many cubes.
         mass: Of all of them, kg.
-        size: Longest edge of the box around the body, m.
+        size: Longest edge of the box around the body at rest, m; later no cube's centre may be farther from the body's
+            than the corners of such a box are from each other.
         density: Of each cube, kg/m^3.
         neighbours: Mass of a cube, of that of another to which a joint joins it.
         effort: Of each motor: of a slide's, of the body's weight at 9.81 m/s^2; of a hinge's, of weight times size.

@@ -100,12 +100,12 @@ class ChangingTrajectory(Trajectory):
         standing = self.series(Quantity("contacts"), begin, end) > 0.0
         return np.where(standing, np.maximum(np.minimum(rises, np.concatenate([np.zeros(0), *gained])), 0.0), 0.0)
 
-    def first_beyond(self, begin: int, end: int, *, energy: float, speed: float, spin: float) -> tuple[int, str] | None:
+    def first_beyond(self, begin: int, end: int, **limits: float) -> tuple[int, str] | None:
         """As `Trajectory.first_beyond`."""
         for number, first, last in self._pieces(begin, end):
             stage = self._stages[number]
             states = self.states[first:last, stage.columns]
-            flagged = beyond(stage.bodies, states, self.work[first:last], energy=energy, speed=speed, spin=spin)
+            flagged = beyond(stage.bodies, states, self.work[first:last], **limits)
             rows = [(first + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
             if rows:
                 return min(rows, key=lambda row: row[0])

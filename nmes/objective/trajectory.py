@@ -223,19 +223,15 @@ class Trajectory(Rows):
         """
         return duty_of(self.touches[1 : self.rows, : self.bodies.body, 1].sum(axis=0).tolist(), self.rows - 1)
 
-    def first_beyond(self, begin: int, end: int, *, energy: float, speed: float, spin: float) -> tuple[int, str] | None:
-        """Returns the first row at which the body is beyond a limit, and which: energy before speed before spin.
+    def first_beyond(self, begin: int, end: int, **limits: float) -> tuple[int, str] | None:
+        """Returns the first row at which the body is beyond a limit, and which: the first of those that `beyond` names.
 
         Args:
             begin: The first row to look at.
             end: The row after the last.
-            energy: Work of its motors, J.
-            speed: Of the centre of each of its cubes, m/s.
-            spin: Of each of its cubes, rad/s.
+            limits: As `beyond` takes them.
         """
-        flagged = beyond(
-            self.bodies, self.states[begin:end], self.work[begin:end], energy=energy, speed=speed, spin=spin
-        )
+        flagged = beyond(self.bodies, self.states[begin:end], self.work[begin:end], **limits)
         rows = [(begin + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
         return min(rows, key=lambda row: row[0], default=None)
 
@@ -424,9 +420,9 @@ def touches(simulation: HasContacts, bodies: Sequence[int], body: int) -> Flags:
 
 
 def beyond(
-    bodies: ObservedBodies, states: Array, work: Array, *, energy: float, speed: float, spin: float
+    bodies: ObservedBodies, states: Array, work: Array, *, energy: float, speed: float, spin: float, size: float
 ) -> dict[str, Flags]:
-    """Returns in which rows a body is beyond each limit, arrays (k,), energy before speed before spin.
+    """Returns in which rows a body is beyond each limit, arrays (k,), energy before speed before spin before size.
 
     Args:
         bodies: What the rows are about.
@@ -435,12 +431,16 @@ def beyond(
         energy: Work of its motors, J.
         speed: Of the centre of each of its cubes, m/s.
         spin: Of each of its cubes, rad/s.
+        size: From its centre of mass to the centre of each of its cubes, m.
     """
     body = bodies.columns(None)
     flags: dict[str, Flags] = {"energy": np.asarray(in_order(work) > energy)}
     for name, limit, first in (("speed", speed, 7), ("spin", spin, 10)):
         # What is no number is beyond every limit.
         flags[name] = np.asarray(~(_length(states[:, body, first : first + 3]) <= limit).all(axis=1))
+    places = states[:, body, :3]
+    away = _length(places - _centre(places, bodies.masses[body])[:, np.newaxis])
+    flags["size"] = np.asarray(~(away <= size).all(axis=1))
     return flags
 
 
@@ -458,6 +458,15 @@ def in_order(values: Array) -> Array:
 def _length(vectors: Array) -> Array:
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.sqrt(x * x + y * y + z * z)
+
+
+def _centre(vectors: Array, masses: Array) -> Array:
+    """Returns the mean of vectors, (k, n, 3), weighted by mass, (k, 3)."""
+    if len(masses) == 1:
+        return vectors[:, 0]
+    weights = masses / in_order(masses)
+    sums: Array = np.add.accumulate(vectors * weights[:, np.newaxis], axis=1)
+    return sums[:, -1]
 
 
 @dataclass(eq=False, slots=True)
@@ -532,12 +541,7 @@ class Block:
 
     def _mean(self, states: Array, columns: slice, first: int) -> Array:
         """Returns the mean, weighted by mass, of a vector that begins at number `first` of each state, (k, 3)."""
-        vectors, masses = states[:, columns, first : first + 3], self.bodies.masses[columns]
-        if len(masses) == 1:
-            return vectors[:, 0]
-        weights = masses / in_order(masses)
-        sums: Array = np.add.accumulate(vectors * weights[:, np.newaxis], axis=1)
-        return sums[:, -1]
+        return _centre(states[:, columns, first : first + 3], self.bodies.masses[columns])
 
     def _extent(self, name: str, columns: slice, cube: str | None) -> Array:
         states, halves = self.states[:, columns], self.bodies.sizes[columns] / 2.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -324,8 +325,9 @@ def test_a_body_that_never_changes_has_the_figures_of_a_plain_trajectory(data: s
         quantity = Quantity(name, None, fold)
         assert plain.values([quantity]) == changing.values([quantity]), quantity
     assert plain.duty() == changing.duty()
-    bounds = {"energy": 0.01, "speed": 2.0, "spin": 2.0}
-    assert plain.first_beyond(0, rows, **bounds) == changing.first_beyond(0, rows, **bounds)
+    for limits in ({"energy": 0.01}, {"speed": 2.0}, {"spin": 2.0}, {"size": 1.0}):
+        bounds = {**dict.fromkeys(("energy", "speed", "spin", "size"), math.inf), **limits}
+        assert plain.first_beyond(0, rows, **bounds) == changing.first_beyond(0, rows, **bounds)
 
 
 @pytest.mark.parametrize("name", ["walker", "jumper", "prowler"])

@@ -94,7 +94,7 @@ class Watcher:
         assert len(sensed) <= len(done) or last == sensed[len(done)]
         self.seen_last += len(sensed) > len(done)
         if not lasted:
-            assert len(done) == result.ticks + (result.ended in ("energy", "speed", "spin") or _faulted(result))
+            assert len(done) == result.ticks + (result.ended in ("energy", "speed", "spin", "size") or _faulted(result))
         total = 0.0
         for reward, value in zip(rewards[:-1], worth[1:], strict=False):
             expected_reward = 0.0 if np.isnan(value) else value - total
@@ -112,9 +112,19 @@ def task(**changes: Any) -> Task:
     return Task({**Task.load("walk").document, "duration": 1.0, "seeds": [1, 2, 3], "limits": {}, **changes})
 
 
+def stretching() -> dict[str, Any]:
+    """Returns the genome of two small cubes with a fast slide between them that is as long as one likes."""
+    cubes = [{"id": f"c{i}", "size": 0.2, "mass": 1, "position": [0.2 * i, 0.1, 0]} for i in range(2)]
+    motor = {"mode": "velocity", "range": [-20, 20], "max_effort": 500}
+    joint = {"id": "j", "cube1": "c0", "cube2": "c1", "type": "slide", "anchor": [0.1, 0.1, 0], "axis": [1, 0, 0]}
+    body = {"cubes": cubes, "joints": [{**joint, "motor": motor}]}
+    return {"format": "nmes-genome/1", "name": "stretching", "body": body}
+
+
 CASES: dict[str, tuple[Genome, Task]] = {
     "it lasts": (Genome(snake()), task()),
     "a limit": (Genome(snake()), task(limits={"energy": 2.0})),
+    "a stretch": (Genome(stretching()), task(limits={"size": 0.4})),
     "an end": (Genome(snake()), task(ends=[{"name": "gone", "when": "displacement.horizontal > 0.05"}])),
     "a worth of nothing": (Genome(snake()), task(objective="time < 0.2 ? 1 / (energy - energy) : energy")),
     "folds": (Genome(snake()), task(objective="mean.speed + max.height - min.lowest + time_upright + start.reach")),
@@ -139,6 +149,7 @@ def test_every_episode_has_the_bits_of_a_world_that_is_driven_so(case: str) -> N
     assert watcher.seen_last or case not in ("a limit", "an end", "a prop")
     assert {
         "a limit": "energy",
+        "a stretch": "size",
         "a duty factor": "energy",
         "an end": "gone",
         "a prop": "fallen",

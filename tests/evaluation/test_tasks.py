@@ -325,7 +325,7 @@ def test_an_episode_ends_at_the_first_tick_at_which_a_condition_holds_or_a_limit
     trajectory.touches[33] = True
     ends = [{"name": "touched", "when": "contacts > 0"}]
     assert Task({**PLAIN, "ends": ends}).ended(trajectory, 0, 101) == (34, "touched")
-    # Of as many rows, an end was there a row before a limit; of limits energy comes before speed before spin.
+    # Of as many rows, an end was there a row before a limit; of limits energy is before speed before spin before size.
     trajectory.states[30, 0, 7:13] = 5.0
     slow, late = ([{"name": name, "when": f"time >= {row} / 60"}] for name, row in (("slow", 29), ("late", 30)))
     for ends, limits, stop in (
@@ -336,6 +336,18 @@ def test_an_episode_ends_at_the_first_tick_at_which_a_condition_holds_or_a_limit
         (slow, {"energy": 6, "spin": 8.0}, (29, "energy")),
     ):
         assert Task({**PLAIN, "ends": ends, "limits": limits}).ended(trajectory, 0, 101) == stop
+
+
+def test_no_body_that_is_as_large_as_may_be_is_too_large_as_it_stands() -> None:
+    """Nearly all of its mass is in one corner of its box, and a speck in the other; a millimetre more ends it."""
+    bodies = ObservedBodies(("root", "speck"), 2, np.ones((2, 3)), np.array([100.0, 1e-9]), 60)
+    task = Task({**PLAIN, "limits": {"size": 2, "speed": 8.0}})
+    for stretched, stop in ((0.0, None), (0.001, (5, "size"))):
+        trajectory = Trajectory(bodies, 100, 1)
+        trajectory.states[:, 1, :3] = 1.9999999
+        trajectory.states[5:, 1, :3] += stretched
+        trajectory.rows = 101
+        assert task.ended(trajectory, 0, 101) == stop
 
 
 # -- what they are worth ----------------------------------------------------------------------------------------------

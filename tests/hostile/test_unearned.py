@@ -217,7 +217,9 @@ def test_who_throws_a_sea_anchor_back_has_not_swum() -> None:
     slide = {"type": "slide", "anchor": [0, 0.08, 0], "axis": [1, 0, 0], "limits": [-14, 0.1], "motor": motor}
     joint = {"id": "push", "cube1": "bar", "cube2": "plate", **slide}
     brain = {"kind": "sine", "oscillators": [{"motor": "push", "amplitude": 0, "offset": -1}]}
-    evaluation = evaluate(genome({"cubes": cubes, "joints": [joint]}, brain=brain), Task.load("swim"))
+    swim = Task.load("swim")
+    free = Task({**swim.document, "limits": {**swim.document["limits"], "size": 1000}})  # else that is beyond its size
+    evaluation = evaluate(genome({"cubes": cubes, "joints": [joint]}, brain=brain), free)
     assert evaluation.error is None and [result.fault for result in evaluation.results] == [None] * 3
     assert min(result.distance for result in evaluation.results) > 5.0
     assert [result.score for result in evaluation.results] == [0.0] * 3

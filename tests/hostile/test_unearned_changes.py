@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nmes.evaluation import Task, evaluate
+from nmes.evaluation import Task, evaluate, play
 from nmes.genome import Genome
 
 Json = dict[str, Any]
@@ -155,7 +155,55 @@ def missile() -> Genome:
 )
 def test_who_is_shot_off_what_it_sheds_has_not_come_far(name: str, cheat: Genome) -> None:
     task = Task.load(name)
-    (result,) = evaluate(cheat, task, seeds=[1]).results
+    # What became small is dragged along, farther behind than a body may stretch.
+    free = Task({**task.document, "limits": {**task.document["limits"], "size": 1000}})
+    assert evaluate(cheat, task, seeds=[1]).score == 0.0
+    (result,) = evaluate(cheat, free, seeds=[1]).results
     assert result.fault is None and not result.ended
     assert result.score == 0.0
     assert 0.0 < result.distance < 25.0
+
+
+# -- bodies that stretch without end ----------------------------------------------------------------------------------
+
+
+def gantry() -> Genome:
+    """Returns one that stays where it is, and lays its heavy end upon the target along two slides."""
+    cubes = [
+        cube("end", [0.4, 0.2, 0.4], 250, [0, 0.1, 0], friction=0),
+        cube("mid", [0.3, 0.2, 0.3], 10, [-0.5, 0.1, 0], friction=0),
+        cube("base", [0.4, 0.2, 0.4], 10, [-1, 0.1, 0], friction=10),
+    ]
+    along = slide("base", "mid", [-1, 0.1, 0], [1, 0, 0], 10, 1324)
+    across = slide("mid", "end", [-0.5, 0.1, 0], [0, 0, 1], 10, 1324)
+    aims = [{"id": axis, "motor": axis, "activation": "identity", "bias": 0} for axis in "xz"]
+    links = [{"sensor": f"end.target_direction.{axis}", "to": axis, "weight": 1} for axis in "xz"]
+    return genome(
+        cubes,
+        [{**along, "id": "x"}, {**across, "id": "z"}],
+        sensors=[{"type": "target_direction", "cube": "end"}],
+        brain={"kind": "graph", "nodes": aims, "links": links},
+    )
+
+
+def harpoon() -> Genome:
+    """Returns one that shoots a bar at the other, and keeps hold of it."""
+    return genome(
+        [cube("base", [0.6, 0.4, 0.6], 100, [0, 0.2, 0]), cube("tip", [0.1, 0.3, 1.8], 5, [0.36, 0.25, 0])],
+        [slide("base", "tip", [0.3, 0.25, 0], [1, 0, 0], 19, 2000)],
+    )
+
+
+def test_who_stretches_farther_than_it_may_be_large_has_come_nowhere() -> None:
+    evaluation = evaluate(gantry(), "reach")
+    assert [(result.ended, result.score) for result in evaluation.results] == [("size", 0.0)] * 6
+    document = Task.load("reach").document
+    free = Task({**document, "limits": {**document["limits"], "size": 1000}})
+    assert (evaluate(gantry(), free, seeds=[1, 4]).score or 0.0) > 1.7  # more than the seeker has, which goes there
+
+
+@pytest.mark.parametrize(("role", "other"), [("red", "blue"), ("blue", "red")])
+def test_who_stretches_farther_than_it_may_be_large_has_lost_the_match(role: str, other: str) -> None:
+    (match,) = play("sumo", {role: harpoon(), other: "seeker"}, seeds=[1])
+    assert match.results[role].fault == "beyond: it was beyond its limit of size"
+    assert match.results[role].ended == f"{role}: size" and match.results[other].score is not None
