@@ -29,6 +29,12 @@ def genome(cubes: list[Json], joints: list[Json], offset: float = 1.0, **more: A
     return Genome({"format": "nmes-genome/1", "name": "cheat", "body": body, "brain": brain, **more})
 
 
+def task_with(name: str, **limits: Any) -> Task:
+    """Returns a task that ships with other limits: it is not by its friction that a cheat is refused here."""
+    document = Task.load(name).document
+    return Task({**document, "limits": {**document["limits"], **limits}, "name": f"wide-{name}"})
+
+
 # -- height that is not grown -----------------------------------------------------------------------------------------
 
 
@@ -154,11 +160,9 @@ def missile() -> Genome:
     ids=["shed", "shrunk", "in-water"],
 )
 def test_who_is_shot_off_what_it_sheds_has_not_come_far(name: str, cheat: Genome) -> None:
-    task = Task.load(name)
+    assert evaluate(cheat, task_with(name, friction=[0, 10]), seeds=[1]).score == 0.0
     # What became small is dragged along, farther behind than a body may stretch.
-    free = Task({**task.document, "limits": {**task.document["limits"], "size": 1000}})
-    assert evaluate(cheat, task, seeds=[1]).score == 0.0
-    (result,) = evaluate(cheat, free, seeds=[1]).results
+    (result,) = evaluate(cheat, task_with(name, friction=[0, 10], size=1000), seeds=[1]).results
     assert result.fault is None and not result.ended
     assert result.score == 0.0
     assert 0.0 < result.distance < 25.0
@@ -195,10 +199,9 @@ def harpoon() -> Genome:
 
 
 def test_who_stretches_farther_than_it_may_be_large_has_come_nowhere() -> None:
-    evaluation = evaluate(gantry(), "reach")
+    evaluation = evaluate(gantry(), task_with("reach", friction=[0, 10]))
     assert [(result.ended, result.score) for result in evaluation.results] == [("size", 0.0)] * 6
-    document = Task.load("reach").document
-    free = Task({**document, "limits": {**document["limits"], "size": 1000}})
+    free = task_with("reach", friction=[0, 10], size=1000)
     assert (evaluate(gantry(), free, seeds=[1, 4]).score or 0.0) > 1.7  # more than the seeker has, which goes there
 
 
