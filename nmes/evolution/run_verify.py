@@ -115,6 +115,7 @@ class _Verification:
         """Tells the algorithm the log; yields in what it is not what the algorithm asks for, and the index not it."""
         run, order = self._run, self.order
         asked: dict[int, Candidate] = {}
+        yield from self._compare_state()  # what the index says may be of any time, also of before the first was told
         for record, (line, entry) in zip(run.records, run.entries(), strict=False):
             self._progress("asking again", order.told, len(run))
             try:
@@ -147,7 +148,7 @@ class _Verification:
         ):
             if there != now:
                 what = f"the index has other {name} than the algorithm: delete the index"
-                yield f"after candidate {indexed.told - 1}: {what}"
+                yield f"after {indexed.told} candidates: {what}"
 
     def choose(self, sample: int | None, seed: int) -> list[int]:
         """Returns the candidates that are to be evaluated again: the elites, the best, and others."""

@@ -223,6 +223,18 @@ def test_an_index_that_says_otherwise_than_the_algorithm_is_found(run: Path, wha
     assert found["verdict"] == "broken" and f"the index has other {what}" in found["findings"][0]
 
 
+@pytest.mark.parametrize("told", [0, 1, 7])
+def test_what_the_index_of_a_run_that_goes_on_says_is_compared_whenever_it_was(run: Path, told: int) -> None:
+    document = orjson.loads((run / "run.json").read_bytes())
+    (run / "run.json").write_bytes(orjson.dumps({**document, "budget": document["budget"] + 1}))
+    assert verdict(run, "--sample", "0")["verdict"] == "holds"
+    with sqlite3.connect(run / "index.sqlite") as db:
+        db.execute("UPDATE state SET told = ?, elites = '[]', figures = ?", [told, '{"cells": 9999}'])
+    db.close()
+    found = verdict(run, "--sample", "0")
+    assert found["verdict"] == "broken" and f"after {told} candidates: the index has other" in found["findings"][0]
+
+
 def test_settings_that_were_changed_are_found(run: Path) -> None:
     document = orjson.loads((run / "run.json").read_bytes())
     (run / "run.json").write_bytes(orjson.dumps({**document, "seed": 4}))
