@@ -40,12 +40,14 @@ class _Change:
     Attributes:
         came: The energy of what came, and the columns of that.
         went: The energy of what went, when it went, J.
+        jolt: The energy of motion that what stayed got by what came, J.
         stopped: The columns of the motors that went, and what each gave in the tick at whose end that was, (2, k), W.
         sprung: The columns of the joints with springs that came: where lost parts are taken up again, bent ones may.
     """
 
     came: tuple[Balance, Columns]
     went: float
+    jolt: float
     stopped: tuple[Columns, Array]
     sprung: Columns
 
@@ -95,9 +97,10 @@ class ChangingJudge(Judge):
             bent = self.balance.stiffnesses[change.sprung] * positions[0, change.sprung] * positions[0, change.sprung]
             came = max(came, 0.0) + total(bent.tolist()) / 2.0
             rate = self.trajectory.bodies.tick_rate
-            powers[0, 0, -1], powers[0, 1, -1] = (came - went) * rate, (came + max(-went, 0.0)) * rate
-            stopped, given = change.stopped
-            powers[0][:, stopped] = given
+            given, used = came - went + change.jolt, came + max(-went, 0.0) + max(change.jolt, 0.0)
+            powers[0, 0, -1], powers[0, 1, -1] = given * rate, used * rate
+            stopped, last = change.stopped
+            powers[0][:, stopped] = last
             self._change = None
         self._energies[begin:end] = self._now.energy(states[:, self.trajectory.there], positions)
         return super().take(states, powers, positions)
@@ -126,7 +129,7 @@ class ChangingObserver(Observer):
         self.judge = ChangingJudge(task, seed, start, trajectory)
         self._parts: dict[int, tuple[str, int]] = {}  # the names and numbers of what is there, by the columns
         self._lost: set[int] = set()  # the columns of what went since the last row, and its energy, J
-        self._went = 0.0
+        self._went = self._jolted = 0.0
         self._loose: dict[tuple[str, int], float] = {}  # the parts that it has shed by itself, and their masses, kg
         self._shrunk = 0.0  # the mass of what is gone since parts became smaller, kg
         self._driven = self._moved = np.zeros(0, np.intp)
@@ -183,10 +186,12 @@ class ChangingObserver(Observer):
             change = _Change(
                 (Balance.of(self._bodies(came), world.config, ()), np.array(came, np.intp)),
                 self._went,
+                self.creature.jolted - self._jolted,
                 self._stopped({entities.joint(name).number for name in creature.joints.values()}),
                 np.setdiff1d(springs, self._moved),
             )
             self._lost, self._went = set(), 0.0
+        self._jolted = creature.jolted
         shed, stature = self._shrunk + total(self._loose.values()), _stature(creature.present)
         self.judge.change(balance, np.array(columns, np.intp), change, shed=shed, stature=stature)
         self._parts, self._balance, self._layout = parts, balance, creature.layout

@@ -60,6 +60,7 @@ class Creature:
         disturbance: What flaws do; None where it has none.
         mind: Its brain, where the world runs it; None where a client drives it.
         development: How it develops; None where its genome has no rules.
+        jolted: How much energy of motion its parts that were there got by others that grew, J, since it was made here.
     """
 
     def __init__(
@@ -84,6 +85,7 @@ class Creature:
         self.motors: tuple[Motor, ...] = body.motors
         self.sensors: tuple[Sensor, ...] = body.sensors
         self.controls: Array | None = None
+        self.jolted = 0.0
         self._shape = (len(body.outputs),)
         self.root = cubes[body.cubes[0].id].body
         self._low = np.array([motor.low for motor in self.motors])

@@ -1,7 +1,12 @@
 """How a creature that lives gains parts of its body: they grow, or are made of cubes that are there.
 
 Hides by which joint a part hangs, what it is called where another still has its name, and what comes along with it.
-Invariant: what is refused has changed nothing.
+
+Invariants:
+
+- What is refused has changed nothing.
+- What grows brings no momentum, and what was there in its place takes none along: the whole body is as much slower, or
+  faster. Else who throws a part backwards, and grows it anew in front, would fly.
 """
 
 from __future__ import annotations
@@ -25,6 +30,8 @@ from nmes.world.building import (
     require_free,
 )
 from nmes.world.limbs import beyond
+from nmes.world.momentum import keep_momentum, moving
+from nmes.world.structure import connected_cubes
 
 if TYPE_CHECKING:
     from nmes.genome.body import BodyCube, BodyJoint
@@ -39,11 +46,16 @@ _NAME_LENGTH = 128
 def grow(entities: Entities, creature: Creature, part: str) -> Cube:
     """Grows a part of a creature that is not there, at rest where its body has it; returns the new cube.
 
+    The body keeps its momentum, and so is slower, having more mass.
+
     Raises:
         WorldError: `cube_not_found`: its body has no such part, or what that hangs on is not there; `invalid`: the part
             is there; `no_room`: it would be in another cube, or in the ground; `limit_reached`; `joint_exists`.
     """
-    return _grow(entities, creature, part, checked=False)
+    before = moving(entities, connected_cubes(hold(creature, part)[2], entities.joints))
+    new = _grow(entities, creature, part, checked=False)
+    creature.jolted += keep_momentum(entities, connected_cubes(before[0].cube, entities.joints), before)
+    return new
 
 
 def _grow(entities: Entities, creature: Creature, part: str, *, checked: bool) -> Cube:
@@ -65,6 +77,8 @@ def _grow(entities: Entities, creature: Creature, part: str, *, checked: bool) -
 
 def regrow(entities: Entities, creature: Creature, part: str) -> None:
     """Grows a part that is there anew, with all that hangs on it alone: each where the creature's form has it, at rest.
+
+    The body keeps its momentum, but for that of the mass that is gone where parts are smaller.
 
     Raises:
         WorldError: `no_room`.
@@ -90,6 +104,8 @@ def regrow(entities: Entities, creature: Creature, part: str) -> None:
         for other, depth in zip(placed[number:], depths, strict=True):
             if depth > TOUCHING and {one.id, other.id} not in joined:
                 raise WorldError("no_room", f"{one.id!r} would be in {other.id!r}", "part")
+    masses = {there[name].name: _shape(creature, name).mass for name in again}
+    before = moving(entities, connected_cubes(kept[base], entities.joints))
     for cube in gone:
         entities.despawn(cube)
     creature.settle()
@@ -97,6 +113,10 @@ def regrow(entities: Entities, creature: Creature, part: str) -> None:
         name = next(each for each in again if may_hang(creature, each))
         again.remove(name)
         _grow(entities, creature, name, checked=True)
+    whole = connected_cubes(kept[base], entities.joints)
+    still = {id(cube) for cube in (*whole, *gone)}  # and not what somebody else had joined to what is gone
+    lasting = [each._replace(mass=min(each.mass, masses.get(each.cube.name, each.mass))) for each in before]
+    creature.jolted += keep_momentum(entities, whole, [each for each in lasting if id(each.cube) in still])
 
 
 def may_hang(creature: Creature, part: str) -> bool:

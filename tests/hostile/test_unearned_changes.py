@@ -96,7 +96,7 @@ GROWTH = Task.load("growth")
 
 @pytest.mark.parametrize(
     ("cheat", "had"),
-    [(rocket(), 60.0), (mast(), 1.5), (hopper(-0.3), 5.0), (hopper(-2.0), 5.0), (shedder(), 0.2)],
+    [(rocket(), 10.0), (mast(), 1.5), (hopper(-0.3), 5.0), (hopper(-2.0), 5.0), (shedder(), 0.2)],
     ids=["rocket", "mast", "hopper", "who-breaks-off-on-the-way-up", "shedder"],
 )
 def test_height_that_is_not_grown_is_worth_nothing(cheat: Genome, had: float) -> None:
@@ -166,6 +166,37 @@ def test_who_is_shot_off_what_it_sheds_has_not_come_far(name: str, cheat: Genome
     assert result.fault is None and not result.ended
     assert result.score == 0.0
     assert 0.0 < result.distance < 25.0
+
+
+def thrower(*development: Json) -> Genome:
+    """Returns one that throws its foot backwards, again and again, for it has it anew in front."""
+    cubes = [cube("root", [0.6, 0.2, 0.6], 10, [0, 0.1, 0]), cube("foot", [0.2, 0.1, 0.6], 10, [-0.42, 0.1, 0])]
+    cubes += [cube(f"ear{at}", [0.2, 0.1, 0.05], 0.2, [0, 0.1, side]) for at, side in enumerate((-0.35, 0.35))]
+    ears = [
+        {"id": each["id"], "cube1": "root", "cube2": each["id"], "type": "fixed", "anchor": each["position"]}
+        for each in cubes[2:]
+    ]
+    back = slide("root", "foot", [-0.31, 0.1, 0], [-1, 0, 0], 4, 1800, limits=[0, 1.2])
+    sensors = [{"type": "velocity", "cube": "root"}]
+    return genome(cubes, [back, *ears], sensors=sensors, development=[*development])
+
+
+SLOW = 'sense("root.velocity.x") < 13'
+OFTEN: Json = {"every": 0.1, "times": 64}
+RESIZED = [
+    {"when": SLOW, "stage": stage, "resize": [{"part": "foot", "scale": scale}], "enter": 3 - stage, **OFTEN}
+    for stage, scale in ((1, 1.002), (1, 1.002), (2, 1), (2, 1))
+]
+REGROWN = [
+    {"when": f'has("foot") > 0 && {SLOW}', "shed": ["foot"], **OFTEN},
+    {"when": 'has("foot") < 1', "grow": ["foot"], **OFTEN},
+]
+
+
+@pytest.mark.parametrize("rules", [RESIZED, REGROWN], ids=["resized", "grown again"])
+@pytest.mark.parametrize("name", ["injury", "metamorphosis"])
+def test_who_throws_a_foot_back_and_has_it_anew_in_front_has_not_come_far(name: str, rules: list[Json]) -> None:
+    assert not evaluate(thrower(*rules), name, seeds=[1, 2]).score
 
 
 # -- bodies that stretch without end ----------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import fsum
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,13 @@ class Place:
         protocol.validate_reply(reply)
         assert reply["type"] != "error", reply
         return reply
+
+    def motion(self) -> tuple[float, list[float]]:
+        """Returns the mass and the momentum of all cubes of the creature, kg and kg m/s."""
+        names = self.world.creature("s").cubes.values()
+        infos = [self("get_cube_info", cube_name=name) for name in names]
+        momentum = [fsum(info["mass"] * info["linear_velocity"][at] for info in infos) for at in range(3)]
+        return fsum(info["mass"] for info in infos), momentum
 
     def drive(self) -> None:
         creature = self.world.creature("s")
@@ -234,6 +242,21 @@ def test_a_part_of_another_size_is_as_dense_and_carries_what_hangs_on_it() -> No
     far = [np.linalg.norm(np.subtract(states[3]["position"], states[0]["position"])) for states in (before, after)]
     assert far[1] - far[0] == pytest.approx(0.36 * 0.5)  # from one joint to the other
     assert place.live(1) == []
+
+
+@pytest.mark.parametrize(("scale", "kept"), [(1.5, 1.0), (0.5, 0.78125)])
+def test_a_part_of_another_size_brings_no_momentum_and_takes_only_that_of_what_is_gone(
+    scale: float, kept: float
+) -> None:
+    place = Place(rules({"when": "age > 0.5", "resize": [{"part": "c1", "scale": scale}]}), **FLOAT)
+    place("set_cube_state", cube_name="s.c0", linear_velocity=[1, 2, 3])
+    place.drive()
+    mass, momentum = place.motion()
+    (event,) = place.live(0.6)
+    assert event["lost_cubes"] == []
+    more, after = place.motion()
+    assert more == pytest.approx(mass + 0.5 * (scale**3 - 1)) and min(more / mass, 1.0) == kept
+    assert after == pytest.approx([each * kept for each in momentum])
 
 
 def test_a_part_that_has_no_room_to_be_larger_stays_as_it_is() -> None:

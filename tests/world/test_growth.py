@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import fsum
 from pathlib import Path
 from typing import Any
 
@@ -73,18 +74,37 @@ def test_a_part_grows_where_the_body_has_it_and_moves_along() -> None:
     place = Place(young("c3"), **FLOAT)
     place("set_cube_state", cube_name="s.c0", rotation=[0.3, 0.8, -0.4], linear_velocity=[1, 2, 3])
     place("set_cube_state", cube_name="s.c0", angular_velocity=[0, 0, 2])
+    before = momentum(place)
     assert place.grow("c3") == {"type": "part_grown", "creature": "s", "part": "c3", "cube": "s.c3", "layout": 5}
     base, part = place.state("s.c2"), place.state("s.c3")
     arm = rotate(tuple(base["quaternion"]), (0.36, 0, 0))
     assert part["position"] == pytest.approx(np.add(base["position"], arm))
     assert part["quaternion"] == pytest.approx(base["quaternion"])
     assert part["linear_velocity"] == pytest.approx(np.add(base["linear_velocity"], np.cross([0, 0, 2], arm)))
+    assert momentum(place) == pytest.approx(before)
     assert part["angular_velocity"] == pytest.approx([0, 0, 2])
     work = place.world.motor_work()
     place("step", ticks=30)
     assert abs(place.senses()["j2.position"]) < 0.05 and place.world.motor_work() - work < 0.5, "nothing was flung"
     (event,) = place.events
     assert (event["layout"], event["lost_cubes"], event["lost_joints"]) == (5, [], [])
+
+
+def momentum(place: Place) -> list[float]:
+    """Returns the momentum of all cubes of a creature, kg m/s."""
+    cubes = place.world.creature("s").cubes.values()
+    infos = [place("get_cube_info", cube_name=name) for name in cubes]
+    return [fsum(info["mass"] * info["linear_velocity"][at] for info in infos) for at in range(3)]
+
+
+def test_what_grows_on_one_that_is_held_moves_with_it() -> None:
+    place = Place(young("c3"), **FLOAT)
+    place("freeze_cube", cube_name="s.c0", freeze=True)
+    place("drive", creature="s", controls=[1, 1, 0])
+    place("step", ticks=5)
+    before = place.state("s.c1")
+    place.grow("c3")
+    assert place.state("s.c1") == before and np.linalg.norm(place.state("s.c3")["linear_velocity"]) > 0.01
 
 
 def test_a_grown_part_is_driven_and_felt() -> None:
