@@ -241,13 +241,15 @@ def shove(**impulses: float) -> Callable[[World], None]:
 
 @pytest.mark.parametrize("frame", [START, LATER])
 @pytest.mark.parametrize(("culprit", "loser"), [("red.w1", "red"), ("blue.w2", "blue"), (None, None), ("ball", None)])
-def test_over_whose_cube_the_engine_fails_has_lost(culprit: str | None, loser: str | None, frame: int) -> None:
+def test_over_whose_cube_the_engine_fails_has_lost(
+    culprit: str | None, loser: str | None, frame: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def meddle(world: World) -> None:
         def fail(substeps: int) -> None:
             body = None if culprit is None else world.entities.cube(culprit).body
             raise SimulationFault("diverged", "it is off", body)
 
-        world.simulation.step = fail  # type: ignore[method-assign]
+        monkeypatch.setattr(world.simulation, "step", fail)
 
     ball = {"id": "ball", "size": [0.2, 0.2, 0.2], "mass": 1, "position": [0, 0, 3]}
     for role, result in meddled(duel(props=[ball]), frame, meddle).items():
