@@ -29,14 +29,13 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
-from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from typing import Any, Self, TypeVar
 
 from nmes.backend.fingerprint import decisive, differences, fingerprint
 from nmes.backend.registry import entry_points_by_name, load_backend
 from nmes.errors import MACHINE_ERRORS, BackendNotFound, MachineError, MissingPackage
+from nmes.evaluation.processes import start_process
 
 __all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes", "open_pool"]
 
@@ -258,13 +257,9 @@ class _Worker:
     """A process that works on one item after the other."""
 
     def __init__(self) -> None:
-        context = get_context("spawn")
-        self.pipe, other = context.Pipe()
-        self._process: BaseProcess = context.Process(target=_work, args=(other,), daemon=True)
         self._index = -1
-        with _quiet():
-            self._process.start()
-        other.close()  # so that the pipe ends when the process does
+        with _lean():
+            self._process, self.pipe = start_process(_work)
 
     @property
     def alive(self) -> bool:
@@ -339,16 +334,13 @@ def _work(pipe: Connection) -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Lets processes that are started meanwhile use one thread, load no renderer, and ignore Ctrl-C."""
+def _lean() -> Iterator[None]:
+    """Lets processes that are started meanwhile use one thread, and load no renderer."""
     before = {name: os.environ.get(name) for name in _LEAN}
     os.environ.update(_LEAN)
-    resource_tracker.ensure_running()  # when the first worker starts it, it lets Ctrl-C through again
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]

@@ -9,16 +9,14 @@ places, and both sides look until there is something new.
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import statistics
 import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from types import ModuleType
@@ -29,6 +27,7 @@ import numpy as np
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import MissingPackage
+from nmes.evaluation.processes import start_process
 from nmes.measure.turns import in_turns
 from nmes.protocol import COMMANDS, DELIMITER, Request
 from nmes.schemas.documents import JsonObject, canonical_hash
@@ -44,6 +43,7 @@ _APART: Final = 3.0  # m between cubes
 _PUSH: Final = 4.0  # N at most
 _SIZE: Final = struct.Struct("<I")  # of what comes, before a frame of MessagePack
 _TICK: Final = 1.0 / 60.0  # s
+_GLANCES: Final = 1 << 16  # at the memory, before it is seen to whether anybody is there
 
 Force = tuple[float, float, float]
 Observed = tuple[float, ...]
@@ -169,7 +169,8 @@ def _flat(state: Mapping[str, Any]) -> Observed:
 
 @contextmanager
 def _over_tcp(cubes: int, encoding: str) -> Iterator[_Caller]:
-    with _other(_serve_tcp, cubes, encoding) as pipe, socket.create_connection(("127.0.0.1", pipe.recv())) as line:
+    with socket.socket() as line, _other(_serve_tcp, cubes, encoding) as pipe:  # which is ended before its line closes
+        line.connect(("127.0.0.1", pipe.recv()))
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         channel, caller = _CHANNELS[encoding](line), _Caller()
 
@@ -190,7 +191,7 @@ def _serve_tcp(pipe: Connection, cubes: int, encoding: str) -> None:
         pipe.send(server.getsockname()[1])
         line, _ = server.accept()
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    with line:
+    with line, suppress(ConnectionError):  # to whoever was killed
         channel = _CHANNELS[encoding](line)
         while requests := channel.receive(3):
             channel.send([channel.write(world.reply(channel.request(each))) for each in requests])
@@ -312,14 +313,17 @@ def _in_shared_memory(cubes: int) -> Iterator[_Caller]:
 
 
 def _serve_memory(pipe: Connection, cubes: int, name: str) -> None:
-    """Does what comes through shared memory, without end."""
+    """Does what comes through shared memory until nobody is there."""
     world, memory = _Place(cubes), SharedMemory(name)
     shared = _Memory(memory, cubes)
     pipe.send(True)
-    done = 0
+    done, looked = 0, 0
     while True:
         while (asked := int(shared.counts[0])) == done:
             os.sched_yield()
+            looked += 1
+            if looked % _GLANCES == 0 and pipe.poll():  # it has ended: whoever measures was killed
+                return
         command = {"type": "apply_physics", "cube_name": "c0", "force": shared.force.tolist()}
         world.reply(Request(b"", command, None, command["type"]))
         world.tick()
@@ -331,20 +335,10 @@ def _serve_memory(pipe: Connection, cubes: int, name: str) -> None:
 @contextmanager
 def _other(serve: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
     """Runs a function in a process of its own, with a pipe to it; the process ignores Ctrl-C, and is ended."""
-    context = get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=serve, args=(theirs, *arguments), daemon=True)
-    resource_tracker.ensure_running()  # when a process starts it, it lets Ctrl-C through again
+    process, pipe = start_process(serve, *arguments)
     try:
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        theirs.close()
-        yield ours
+        yield pipe
     finally:
-        if process.is_alive():
-            process.kill()  # it has nothing to end in good order
-            process.join()
-        ours.close()
+        process.kill()  # it has nothing to end in good order
+        process.join()
+        pipe.close()

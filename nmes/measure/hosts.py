@@ -9,7 +9,6 @@ import asyncio
 import json
 import os
 import secrets
-import signal
 import subprocess
 import sys
 import time
@@ -22,6 +21,7 @@ from typing import Any, Final
 
 from nmes.client import AsyncClient, Client
 from nmes.errors import MachineError
+from nmes.evaluation.processes import signals_deferred
 from nmes.measure.turns import in_turns, ratio
 from nmes.schemas.documents import canonical_hash
 from nmes.variation.draw import Draw
@@ -38,7 +38,6 @@ __all__ = [
 ]
 
 _PATIENCE: Final = 30.0  # s that a host is given to end
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM)
 _APART: Final = 3.0  # m between agents, which never meet
 _PUSH: Final = 4.0  # N at most
 _SPREAD: Final = 2.0  # m between cubes that are spawned
@@ -137,7 +136,7 @@ def running_host(mode: str, rate: float = 1.0) -> Iterator[RunningHost]:
     environment = {**os.environ, "NMES_PASSWORD": password}
     process: subprocess.Popen[bytes] | None = None
     try:
-        with _signals_deferred():
+        with signals_deferred():
             process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         assert process.stdout is not None
         line = process.stdout.readline()
@@ -149,20 +148,6 @@ def running_host(mode: str, rate: float = 1.0) -> Iterator[RunningHost]:
             with process:
                 process.terminate()
                 process.wait(_PATIENCE)
-
-
-@contextmanager
-def _signals_deferred() -> Iterator[None]:
-    """Keeps Ctrl-C and SIGTERM until the end of the block: within `Popen` they would leave a child nobody knows of."""
-    came: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: came.append(number)) for number in _ENDING}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for late in came:
-            signal.raise_signal(late)
 
 
 # -- agents -----------------------------------------------------------------------------------------------------------

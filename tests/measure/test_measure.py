@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import time
 from importlib.metadata import distribution, files
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ import pytest
 from command_line import run
 from nmes.errors import MachineError
 from nmes.evaluation import Task
+from nmes.evaluation.processes import start_process
 from nmes.genome import Genome
 from nmes.learning.environment import TaskEnv
 from nmes.measure import encodings, installs, peers
@@ -174,6 +178,26 @@ def test_ctrl_c_ends_all_channels_without_a_traceback() -> None:
         os.killpg(process.pid, signal.SIGINT)
         _, told = process.communicate(timeout=60)
     assert process.returncode == 1 and told.splitlines()[-1:] == [b"Aborted!"] and b"Traceback" not in told, told
+
+
+def test_a_channel_ends_when_whoever_measures_was_killed(capfd: pytest.CaptureFixture[str]) -> None:
+    memory = SharedMemory(create=True, size=encodings._Memory.size(2))
+    try:
+        channels = [start_process(encodings._serve_memory, 2, memory.name)]
+        channels += [start_process(encodings._serve_tcp, 2, name) for name in ("json", "msgpack")]
+        for process, pipe in channels:
+            port = pipe.recv()
+            with socket.socket() as line:
+                if port is not True:
+                    line.connect(("127.0.0.1", port))
+                    line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # it ends by a reset
+            pipe.close()
+            process.join(60)
+            assert process.exitcode == 0
+    finally:
+        memory.close()
+        memory.unlink()
+    assert capfd.readouterr().err == ""
 
 
 def test_a_channel_that_leads_to_other_states_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
