@@ -144,7 +144,15 @@ class Balance:
             energy = energy + self.immersion.potentials(columns).sum(axis=1)
         return np.asarray(energy + (self.stiffnesses * positions * positions).sum(axis=1) / 2.0)
 
+    def kinetic(self, states: Array) -> Array:
+        """Returns the kinetic energy of each body in each row, shape (k, n), J, from states, shape (k, n, 13)."""
+        return np.asarray(self._motion(np.ascontiguousarray(np.moveaxis(states, 2, 0))).sum(axis=2) / 2.0)
+
     def _kinetic(self, columns: Array) -> Array:
+        return np.asarray(self._motion(columns).sum(axis=(1, 2)) / 2.0)
+
+    def _motion(self, columns: Array) -> Array:
+        """Returns twice the kinetic energy of each body along each of its axes, shape (k, n, 3), J."""
         masses = self.bodies.masses
         a, b, c = (self.bodies.sizes * self.bodies.sizes).T
         own = np.stack([b + c, a + c, a + b], axis=1) * masses[:, None] / 12.0
@@ -154,7 +162,7 @@ class Balance:
         each = np.empty((*columns.shape[1:], 3))
         for axis, (velocity, spin) in enumerate(zip(columns[7:10], _own(columns), strict=True)):
             np.add(masses * velocity * velocity, own[:, axis] * spin * spin, out=each[..., axis])
-        return np.asarray(each.sum(axis=(1, 2)) / 2.0)
+        return each
 
     def _potential(self, columns: Array) -> Array:
         """Returns the energy of the bodies' weight: gravity's, or that of the nearest planet, which pulls evenly."""

@@ -7,6 +7,8 @@ The rules, which hold in every task with roles:
   at the tick before; where the engine fails before the start, as it was there.
 - Where several are beyond limits at the same tick, and one is ten times as fast as others, these are not blamed: it has
   blown up, and struck them.
+- Who is too fast, or spins too fast, by what others gave is not beyond a limit: as long as it has so much of them as is
+  at least half of the energy with which its cubes move that are too fast. So nobody wins by a stroke that is too hard.
 - All bodies together are audited, since who is pushed gains what another's motors gave. Where they had energy that no
   motor gave them, whoever had most of that first, beyond the work of its own motors, has lost likewise: energy is first
   where it is made.
@@ -26,13 +28,15 @@ from nmes.evaluation.balance import Balance
 from nmes.evaluation.judge import MEASURED, Result
 from nmes.evaluation.match_task import MatchTask, Role
 from nmes.objective.trajectories import Trajectories
-from nmes.objective.trajectory import ObservedBodies, Trajectory
+from nmes.objective.trajectory import Flags, ObservedBodies, Trajectory, beyond
 from nmes.world import World
 from nmes.world.creature import Creature
 
 __all__ = ["Referee", "culprit", "void_results"]
 
 _BLAST = 10.0  # how many times as fast as others a creature is that has blown up
+_DRIVEN = ("speed", "spin")  # limits that others may take a creature beyond
+_GIVEN = 0.5  # of the energy of cubes that are too fast, what others give whoever is not to be blamed
 
 
 def void_results(task: MatchTask, seed: int, fault: str) -> dict[str, Result]:
@@ -151,23 +155,23 @@ class Referee:
 
     def _stop(self, begin: int, end: int) -> None:
         """Looks for what ended the match: where a condition holds that row still counts, beyond a limit it does not."""
-        trajectories, roles = self.trajectories, self._task.roles
+        trajectories = self.trajectories
         held = [
             (row + 1, name)
             for name, condition in self._task.ends
             if (row := trajectories.first(condition, begin, end)) is not None
         ]
-        beyond = {
+        lost = {
             role: stop
             for role, part in trajectories.of.items()
-            if (stop := part.first_beyond(begin, end, **roles[role].bounds)) is not None
+            if (stop := self._beyond(role, part, begin, end)) is not None
         }
-        if not held and not beyond:
+        if not held and not lost:
             return
-        rows = min(row for row, _ in (*held, *beyond.values()))
+        rows = min(row for row, _ in (*held, *lost.values()))
         self.ended = next((name for row, name in held if row == rows), None)
         if self.ended is None:
-            losses = {role: limit for role, (row, limit) in beyond.items() if row == rows}
+            losses = {role: limit for role, (row, limit) in lost.items() if row == rows}
             speeds = {role: _fastest(trajectories.of[role], rows) for role in losses}
             slowest = max(speeds.values()) / _BLAST
             self._losses = {role: limit for role, limit in losses.items() if speeds[role] >= slowest}
@@ -202,10 +206,9 @@ class Referee:
             return {}
         last = round(excess.time * self._task.tick_rate)
         rows, own = slice(0, last + 1), []
-        for index, (role, side) in enumerate(self._sides.items()):
-            balance = Balance.of(self.trajectories.of[role].bodies, self._world.config, side.stiffnesses)
-            parts = self._states[rows, self._columns[index]], self._powers[rows, :, self._driven[index]]
-            own.append(balance.free(*parts, self._positions[rows, self._sprung[index]]))
+        for role in self._sides:
+            balance, *parts = self._own(role, last + 1)
+            own.append(balance.free(*parts))
         gains = self._balance.gains(self._states[rows], self._powers[rows], self._positions[rows])[0]
         # Since all together had the least, each rise is of whoever has risen most in that tick: who is struck by others
         # rises too, but all together do not.
@@ -217,6 +220,39 @@ class Referee:
         makers = [role for role, gain in zip(self._sides, made, strict=True) if gain == max(made)]
         self.ended = ", ".join(f"{role}: energy of nothing" for role in makers)
         return dict.fromkeys(makers, str(excess))
+
+    def _beyond(self, role: str, part: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
+        """As `Trajectory.first_beyond`, but for rows in which others made it as fast as it is."""
+        bounds = self._task.roles[role].bounds
+        stop = part.first_beyond(begin, end, **bounds)
+        if stop is None or stop[1] not in _DRIVEN:
+            return stop
+        flagged = beyond(part.bodies, part.states[begin:end], part.work[begin:end], **bounds)
+        struck = self._struck(role, begin, end)
+        flagged |= {name: flagged[name] & ~struck for name in _DRIVEN}
+        rows = [(begin + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
+        return min(rows, key=lambda row: row[0], default=None)
+
+    def _struck(self, role: str, begin: int, end: int) -> Flags:
+        """Returns in which rows a creature has of others the energy of its cubes that are too fast, shape (k,).
+
+        Where all together have energy of nothing, it has not.
+        """
+        all_gains, all_allowed = self._balance.gains(self._states[:end], self._powers[:end], self._positions[:end])
+        balance, states, *rest = self._own(role, end)
+        gains, allowed = balance.gains(states, *rest)
+        bounds, motion = self._task.roles[role].bounds, states[begin:, :, 7:13]
+        fast = (_lengths(motion[..., :3]) > bounds["speed"]) | (_lengths(motion[..., 3:]) > bounds["spin"])
+        needed = _GIVEN * np.where(fast, balance.kinetic(states[begin:]), 0.0).sum(axis=1)
+        given = (gains - allowed)[begin:]
+        return np.asarray((given >= needed) & (all_gains <= all_allowed)[begin:])
+
+    def _own(self, role: str, rows: int) -> tuple[Balance, Array, Array, Array]:
+        """Returns the balance of energy of one creature, and what it is drawn of in the first rows."""
+        side, index = self._sides[role], [*self._sides].index(role)
+        balance = Balance.of(self.trajectories.of[role].bodies, self._world.config, side.stiffnesses)
+        states, powers = self._states[:rows, self._columns[index]], self._powers[:rows, :, self._driven[index]]
+        return balance, states, powers, self._positions[:rows, self._sprung[index]]
 
     def _result(self, role: Role, fault: str | None) -> Result:
         measured = [replace(quantity, role=role.name) for quantity in MEASURED]
@@ -252,9 +288,13 @@ def _fastest(part: Trajectory, row: int) -> float:
     """Returns how fast the fastest corner of a body is at a row, m/s; where that is no number, infinity."""
     body = part.bodies.columns(None)
     motion, sizes = part.states[row, body, 7:13], part.bodies.sizes[body]
-    speeds, spins, diagonals = (np.sqrt((each * each).sum(axis=1)) for each in (motion[:, :3], motion[:, 3:], sizes))
+    speeds, spins, diagonals = _lengths(motion[:, :3]), _lengths(motion[:, 3:]), _lengths(sizes)
     corners = speeds + spins * diagonals / 2.0
     return float(np.nan_to_num(corners, nan=np.inf).max())
+
+
+def _lengths(vectors: Array) -> Array:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
 
 def _springs(side: _Side) -> list[int]:

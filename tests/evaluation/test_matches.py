@@ -194,6 +194,39 @@ def test_both_lose_who_are_beyond_a_limit_at_one_tick() -> None:
     assert {result.ended for result in match.results.values()} == {"red: energy, blue: energy"}
 
 
+def swatter() -> dict[str, Any]:
+    """A heavy base with a bar that it spins at 95 rad/s, no cube of which is ever fast."""
+    base = {"id": "base", "size": [0.6, 0.3, 0.6], "mass": 300, "position": [0, 0.15, 0]}
+    bar = {"id": "bar", "size": [1.9, 0.1, 0.1], "mass": 20, "position": [0, 0.36, 0]}
+    motor = {"mode": "velocity", "range": [-95, 95], "max_effort": 600}
+    spin = {"type": "hinge", "anchor": [0, 0.3, 0], "axis": [0, 1, 0], "motor": motor}
+    joint = {"id": "spin", "cube1": "base", "cube2": "bar", **spin}
+    turns = {"kind": "sine", "oscillators": [{"motor": "spin", "frequency": 0, "amplitude": 0, "offset": 1}]}
+    body = {"cubes": [base, bar], "joints": [joint]}
+    return {"format": "nmes-genome/1", "name": "swatter", "body": body, "brain": turns}
+
+
+def test_who_is_struck_so_hard_that_it_is_beyond_a_limit_goes_on() -> None:
+    task, speeds = MatchTask.load("interference"), [0.0]
+
+    def look(world: World) -> None:
+        numbers = [world.entities.cube(cube).body for cube in world.creature("robot").cubes.values()]
+        if world.frame > 0:
+            speeds.extend(np.linalg.norm(world.simulation.states(numbers)[:, 7:10], axis=1))
+
+    results = attended(task, {"robot": Genome.load("seeker"), "interferer": Genome(swatter())}, 1, look)
+    assert max(speeds) > task.roles["robot"].bounds["speed"]
+    assert {(result.fault, result.ended, result.ticks) for result in results.values()} == {(None, None, 900)}
+
+
+@pytest.mark.parametrize("limits", [{"spin": 5}, {"speed": 0.3}], ids=str)
+def test_who_makes_itself_too_fast_has_lost_whoever_is_beside_it(limits: dict[str, float]) -> None:
+    task = duel(vary={}, limits=limits, **roles({}, {"position": [0.45, 0, 0]}))
+    results = play(task, {"red": push(9.0), "blue": QUIET}, seeds=[3])[0].results
+    assert str(results["red"].fault) == f"beyond: it was beyond its limit of {next(iter(limits))}"
+    assert results["blue"].fault is None and results["blue"].score is not None
+
+
 @pytest.mark.parametrize("loser", ["red", "blue"])
 def test_who_makes_energy_of_nothing_has_lost(loser: str) -> None:
     genomes = {"red": snake(), "blue": snake(), loser: exploding()}
@@ -206,16 +239,16 @@ def test_who_makes_energy_of_nothing_has_lost(loser: str) -> None:
     assert other.score is not None and other.fault is None
 
 
-def meddled(task: MatchTask, frame: int, meddle: Callable[[World], None]) -> dict[str, Result]:
-    """Returns how a match of two carts comes out where something is done to their world at a frame."""
-    genomes = {"red": Genome(push()), "blue": Genome(push())}
-    world = World(task.world_config(3))
-    match = Match(world, genomes, {role: brain_of(genome) for role, genome in genomes.items()}, task, 3)
+def attended(
+    task: MatchTask, genomes: dict[str, Genome], seed: int, look: Callable[[World], None]
+) -> dict[str, Result]:
+    """Returns how a match comes out in a world that is there to be looked at before each tick."""
+    world = World(task.world_config(seed))
+    match = Match(world, genomes, {role: brain_of(genome) for role, genome in genomes.items()}, task, seed)
     client = world.join()
     for step in match.steps():
         if step is None:
-            if world.frame == frame:
-                meddle(world)
+            look(world)
             world.tick()
         elif isinstance(step, bytes):
             world.handle(client, parse(step))
@@ -223,6 +256,12 @@ def meddled(task: MatchTask, frame: int, meddle: Callable[[World], None]) -> dic
             world.drive(client, step.creature, step.controls)
     assert match.results() == match.results()
     return match.results()
+
+
+def meddled(task: MatchTask, frame: int, meddle: Callable[[World], None]) -> dict[str, Result]:
+    """Returns how a match of two carts comes out where something is done to their world at a frame."""
+    genomes = {"red": Genome(push()), "blue": Genome(push())}
+    return attended(task, genomes, 3, lambda world: meddle(world) if world.frame == frame else None)
 
 
 START, LATER = 3, 60  # frames before the start of a duel, and after it
