@@ -70,19 +70,16 @@ class ChangingJudge(Judge):
         self._now, self._rise = balance, balance.rise
         self._change: _Change | None = None
 
-    def change(
-        self, balance: Balance, columns: Columns, change: _Change | None, *, shed: float, stature: float
-    ) -> None:
+    def change(self, balance: Balance, columns: Columns, change: _Change | None, **body: float) -> None:
         """Takes note of what is there from the next row on.
 
         Args:
             balance: Of the energy of what is there then.
             columns: Where that is in the rows.
             change: What is other than before; None at the start.
-            shed: As `ChangingTrajectory.change`.
-            stature: Likewise.
+            body: About the body, as `ChangingTrajectory.change` takes it.
         """
-        self.trajectory.change(balance.bodies, columns, shed=shed, stature=stature)
+        self.trajectory.change(balance.bodies, columns, **body)
         self._now, self._change = balance, change
         self._rise = min(self._rise, balance.rise)  # of the lightest body that it was
 
@@ -192,8 +189,9 @@ class ChangingObserver(Observer):
             )
             self._lost, self._went = set(), 0.0
         self._jolted = creature.jolted
-        shed, stature = self._shrunk + total(self._loose.values()), _stature(creature.present)
-        self.judge.change(balance, np.array(columns, np.intp), change, shed=shed, stature=stature)
+        shed, present = self._shrunk + total(self._loose.values()), creature.present
+        about = {"shed": shed, "stature": _stature(present), "extent": present.size}
+        self.judge.change(balance, np.array(columns, np.intp), change, **about)
         self._parts, self._balance, self._layout = parts, balance, creature.layout
         self._moved, self._driven, self._seen = springs, motors, self.judge.trajectory.rows
         kinds = (self._springs, springs), (self._motors, motors)

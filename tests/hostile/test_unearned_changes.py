@@ -107,6 +107,45 @@ def test_height_that_is_not_grown_is_worth_nothing(cheat: Genome, had: float) ->
     assert fooled.score is not None and fooled.score > had
 
 
+def folded() -> Genome:
+    """Returns a mast up, down and up again that fits a size of 4 m, until it makes the part that goes down smaller."""
+
+    def fixed(one: str, two: str, anchor: list[float]) -> Json:
+        return {"id": f"to_{two}", "cube1": one, "cube2": two, "type": "fixed", "anchor": anchor}
+
+    foot = {"id": "slide", "cube1": "root", "cube2": "foot", "type": "hinge", "anchor": [0.22, 0.05, 0]}
+    motor = {"mode": "position", "range": [-0.1, 0.1], "max_effort": 0.5}
+    return genome(
+        [
+            cube("root", [0.44, 0.1, 0.48], 4, [0, 0.05, 0]),
+            cube("foot", [0.04, 0.04, 0.04], 0.3, [0.24, 0.05, 0]),
+            cube("up", [0.1, 3.7, 0.1], 2.5, [0, 1.95, 0]),
+            cube("down", [0.1, 3.65, 0.1], 40, [0.1, 1.975, 0]),
+            cube("again", [0.1, 3.65, 0.1], 3, [0.2, 1.975, 0]),
+            cube("top", [0.38, 0.1, 0.38], 280, [0.075, 3.85, 0]),
+        ],
+        [
+            {**foot, "axis": [0, 0, 1], "motor": motor},
+            fixed("root", "up", [0, 0.1, 0]),
+            fixed("up", "down", [0.05, 3.8, 0]),
+            fixed("down", "again", [0.15, 0.15, 0]),
+            fixed("again", "top", [0.2, 3.8, 0]),
+        ],
+        later=["up", "down", "again", "top"],
+        development=[
+            {"when": "true", "grow": ["up", "down"], "resize": [{"part": "down", "scale": 0.25}]},
+            {"when": "true", "grow": ["again", "top"]},
+        ],
+    )
+
+
+def test_a_body_that_resizing_unfolds_beyond_its_size_has_not_grown() -> None:
+    (result,) = evaluate(folded(), GROWTH, seeds=[1]).results
+    assert (result.ended, result.score, result.fault) == ("size", 0.0, None)
+    (free,) = evaluate(folded(), task_with("growth", size=8), seeds=[1]).results
+    assert free.ended is None and free.score is not None and free.score > 4.0
+
+
 def test_who_breaks_off_early_has_grown_for_no_longer() -> None:
     """After five seconds it grows what is too heavy for its limit of energy, when it has grown and it is no higher."""
     beanstalk = Genome.load("beanstalk").document
