@@ -48,13 +48,13 @@ HASHES = {
     "stairs": "3fde555a19498184",
     "swim": "0048664579ff1aca",
     "walk": "5bd2c6e7011f44eb",
-    "chase": "859dca577cfc038e",
-    "foraging": "0a2516eae1969887",
-    "interference": "121b28ee53cd5f75",
-    "interference-alone": "6e3c06d4383b0671",
-    "relay": "8cce94bf68ad0227",
-    "scout": "96147d4a39138750",
-    "sumo": "4ac6f3d49ffaf565",
+    "chase": "e8a5d2adaac88149",
+    "foraging": "8dac5a80703a515b",
+    "interference": "566f89d34a5ce122",
+    "interference-alone": "f7e504331c25d672",
+    "relay": "852bca5b210d7b76",
+    "scout": "f562f500a99ef008",
+    "sumo": "b3e3585a78c94fe8",
 }
 """How the hash of each task begins that ships."""
 PILLAR: dict[str, Any] = {"id": "a", "size": [1, 2, 1], "mass": 1, "position": [1, 0, 2]}

@@ -6,9 +6,14 @@ from typing import Any
 
 import pytest
 
-from nmes.evaluation import Task, evaluate
+from nmes.evaluation import Task, evaluate, play
 from nmes.genome import Genome
 
+BLOCK: dict[str, Any] = {
+    "format": "nmes-genome/1",
+    "name": "block",
+    "body": {"cubes": [{"id": "root", "size": [0.4, 0.4, 0.4], "mass": 10, "position": [0, 0.2, 0]}]},
+}
 MLP = {
     "kind": "mlp",
     "inputs": ["foot.target_direction.x", "foot.target_direction.z"],
@@ -79,3 +84,51 @@ def test_a_hop_beside_the_stairs_is_no_climb() -> None:
     """The jumper hops on the spot, and is in the air when its time is over."""
     evaluation = evaluate(Genome.load("jumper"), Task.load("stairs"), seeds=[1])
     assert [result.score for result in evaluation.results] == [0.0]
+
+
+def heavy_tower(ahead: bool) -> dict[str, Any]:
+    """Returns a tower that topples once, ahead or to its right, while a wheel is shaken that pays for the fall."""
+
+    def along(x: float, y: float, z: float) -> list[float]:
+        return [x, y, z] if ahead else [z, y, x]
+
+    cubes: list[dict[str, Any]] = [
+        {"id": "foot", "size": [0.6, 0.1, 0.6], "mass": 60, "position": [0, 0.05, 0]},
+        {"id": "column", "size": along(0.2, 1.7, 0.5), "mass": 40, "position": [0, 0.96, 0]},
+        {"id": "head", "size": along(0.2, 0.18, 1.4), "mass": 320, "position": [0, 1.9, 0]},
+        {"id": "wheel", "size": [0.2, 0.2, 0.2], "mass": 20, "position": along(0, 1.55, -0.37)},
+    ]
+    hinge = {"type": "hinge", "axis": [0, 0, 1] if ahead else [-1, 0, 0]}
+    topple = {"mode": "velocity", "range": [-3, 3], "max_effort": 30000}
+    shake = {"mode": "velocity", "range": [-60, 60], "max_effort": 15000}
+    joints: list[dict[str, Any]] = [
+        {"id": "topple", "cube1": "foot", "cube2": "column", **hinge, "anchor": along(0.1, 0.1, 0), "motor": topple},
+        {"id": "neck", "cube1": "column", "cube2": "head", "type": "fixed", "anchor": [0, 1.81, 0]},
+        {"id": "shake", "cube1": "column", "cube2": "wheel", **hinge, "anchor": along(0, 1.55, -0.26), "motor": shake},
+    ]
+    joints[0]["limits"] = [-1.3, 0]
+    oscillators = [
+        {"motor": "topple", "frequency": 0, "amplitude": 0, "offset": -1},
+        {"motor": "shake", "frequency": 2, "amplitude": 1},
+    ]
+    brain = {"kind": "sine", "oscillators": oscillators}
+    return {"format": "nmes-genome/1", "name": "t", "body": {"cubes": cubes, "joints": joints}, "brain": brain}
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "others"),
+    [
+        ("sumo", "red", {"blue": BLOCK}),
+        ("foraging", "red", {"blue": BLOCK}),
+        ("chase", "hunter", {"prey": BLOCK}),
+        ("interference", "robot", {"interferer": BLOCK}),
+        ("interference-alone", "robot", {}),
+        ("scout", "runner", {"scout": BLOCK}),
+    ],
+)
+@pytest.mark.parametrize("ahead", [True, False])
+def test_to_topple_over_is_worth_nothing_in_a_match(name: str, role: str, others: dict[str, Any], ahead: bool) -> None:
+    for match in play(name, {role: heavy_tower(ahead), **others}):
+        result = match.results[role]
+        assert result.fault is None and result.score is not None and result.energy > 1000.0
+        assert result.score <= 0.0, match
