@@ -70,7 +70,7 @@ class ChangingJudge(Judge):
         self._now, self._rise = balance, balance.rise
         self._change: _Change | None = None
 
-    def change(self, balance: Balance, columns: Columns, change: _Change | None, **body: float) -> None:
+    def change(self, balance: Balance, columns: Columns, change: _Change | None, **body: Any) -> None:
         """Takes note of what is there from the next row on.
 
         Args:
@@ -115,6 +115,7 @@ class ChangingObserver(Observer):
         self.creature, self._world, self._place = creature, world, place
         self._props: Sequence[Mapping[str, Any]] = task.document["props"]
         self._rate, self._target, self._room = task.tick_rate, task.target(seed, place), task.ticks + 1
+        self._limit = task.limits.size
         self._springs = [joint for joint in creature.body.joints if joint.stiffness]
         self._stiffnesses = [joint.stiffness for joint in self._springs]
         self._motors = [joint for joint in creature.body.joints if joint.motor is not None]
@@ -190,8 +191,14 @@ class ChangingObserver(Observer):
             self._lost, self._went = set(), 0.0
         self._jolted = creature.jolted
         shed, present = self._shrunk + total(self._loose.values()), creature.present
-        about = {"shed": shed, "stature": _stature(present), "extent": present.size}
-        self.judge.change(balance, np.array(columns, np.intp), change, **about)
+        self.judge.change(
+            balance,
+            np.array(columns, np.intp),
+            change,
+            shed=shed,
+            stature=_stature(present),
+            oversized=self._limit is not None and present.size > self._limit,
+        )
         self._parts, self._balance, self._layout = parts, balance, creature.layout
         self._moved, self._driven, self._seen = springs, motors, self.judge.trajectory.rows
         kinds = (self._springs, springs), (self._motors, motors)

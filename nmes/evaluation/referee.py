@@ -28,7 +28,7 @@ from nmes.evaluation.balance import Balance
 from nmes.evaluation.judge import MEASURED, Result
 from nmes.evaluation.match_task import MatchTask, Role
 from nmes.objective.trajectories import Trajectories
-from nmes.objective.trajectory import Flags, ObservedBodies, Trajectory, beyond
+from nmes.objective.trajectory import Flags, ObservedBodies, Trajectory, beyond, earliest, in_order, lengths
 from nmes.world import World
 from nmes.world.creature import Creature
 
@@ -229,9 +229,7 @@ class Referee:
             return stop
         flagged = beyond(part.bodies, part.states[begin:end], part.work[begin:end], **bounds)
         struck = self._struck(role, begin, end)
-        flagged |= {name: flagged[name] & ~struck for name in _DRIVEN}
-        rows = [(begin + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
-        return min(rows, key=lambda row: row[0], default=None)
+        return earliest(flagged | {name: flagged[name] & ~struck for name in _DRIVEN}, begin)
 
     def _struck(self, role: str, begin: int, end: int) -> Flags:
         """Returns in which rows a creature has of others the energy of its cubes that are too fast, shape (k,).
@@ -242,8 +240,8 @@ class Referee:
         balance, states, *rest = self._own(role, end)
         gains, allowed = balance.gains(states, *rest)
         bounds, motion = self._task.roles[role].bounds, states[begin:, :, 7:13]
-        fast = (_lengths(motion[..., :3]) > bounds["speed"]) | (_lengths(motion[..., 3:]) > bounds["spin"])
-        needed = _GIVEN * np.where(fast, balance.kinetic(states[begin:]), 0.0).sum(axis=1)
+        fast = (lengths(motion[..., :3]) > bounds["speed"]) | (lengths(motion[..., 3:]) > bounds["spin"])
+        needed = _GIVEN * in_order(np.where(fast, balance.kinetic(states[begin:]), 0.0))
         given = (gains - allowed)[begin:]
         return np.asarray((given >= needed) & (all_gains <= all_allowed)[begin:])
 
@@ -288,13 +286,9 @@ def _fastest(part: Trajectory, row: int) -> float:
     """Returns how fast the fastest corner of a body is at a row, m/s; where that is no number, infinity."""
     body = part.bodies.columns(None)
     motion, sizes = part.states[row, body, 7:13], part.bodies.sizes[body]
-    speeds, spins, diagonals = _lengths(motion[:, :3]), _lengths(motion[:, 3:]), _lengths(sizes)
+    speeds, spins, diagonals = lengths(motion[:, :3]), lengths(motion[:, 3:]), lengths(sizes)
     corners = speeds + spins * diagonals / 2.0
     return float(np.nan_to_num(corners, nan=np.inf).max())
-
-
-def _lengths(vectors: Array) -> Array:
-    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
 
 def _springs(side: _Side) -> list[int]:

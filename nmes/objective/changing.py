@@ -7,7 +7,6 @@ is another's when parts come or go, where it tells how far it has come.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -16,12 +15,10 @@ import numpy.typing as npt
 
 from nmes.backend import Array
 from nmes.objective.quantities import Quantity
-from nmes.objective.trajectory import Block, ObservedBodies, Trajectory, beyond, in_order
+from nmes.objective.trajectory import Block, ObservedBodies, Trajectory, beyond, earliest, in_order
 
 __all__ = ["ChangingTrajectory"]
 
-_CORNERS = math.sqrt(3.0)
-_ROUNDING = 1.0 + 1e-9
 _OF_NO_CUBES = ("energy", "work", "time", "time_upright")  # quantities that are the same whatever is there
 
 
@@ -35,7 +32,7 @@ class _Stage:
         columns: The columns of the whole trajectory in which that is.
         share: The mass of the body that is there, of that and of all that it has shed.
         stature: How high the centre of what is there of the body is above its lowest point in the document's pose, m.
-        extent: The longest edge of the box around that, m.
+        oversized: Whether that is larger at rest than it may be.
         origins: From where displacements are measured, of the body (None) and of cubes.
     """
 
@@ -44,7 +41,7 @@ class _Stage:
     columns: npt.NDArray[np.intp]
     share: float
     stature: float
-    extent: float
+    oversized: bool
     origins: dict[str | None, Array] = field(default_factory=dict)
 
 
@@ -69,7 +66,7 @@ class ChangingTrajectory(Trajectory):
         *,
         shed: float = 0.0,
         stature: float = 0.0,
-        extent: float = 0.0,
+        oversized: bool = False,
     ) -> None:
         """Takes note of what is there from the next row on.
 
@@ -78,12 +75,12 @@ class ChangingTrajectory(Trajectory):
             columns: Where that is in the rows.
             shed: The mass of what the body has shed by itself so far, kg.
             stature: How high the centre of mass of the body is above its lowest point in the pose of its document, m.
-            extent: The longest edge of the box around the body in that pose, m.
+            oversized: Whether the body is larger in that pose than it may be: it is beyond its limit of size then.
         """
         if self._stages and self._stages[-1].first == self.rows:
             self._stages.pop()
         mass = float(in_order(bodies.masses[bodies.columns(None)]))
-        self._stages.append(_Stage(self.rows, bodies, columns, mass / (mass + shed), stature, extent))
+        self._stages.append(_Stage(self.rows, bodies, columns, mass / (mass + shed), stature, oversized))
 
     @property
     def there(self) -> npt.NDArray[np.intp]:
@@ -118,11 +115,9 @@ class ChangingTrajectory(Trajectory):
             stage = self._stages[number]
             states = self.states[first:last, stage.columns]
             flagged = beyond(stage.bodies, states, self.work[first:last], **limits)
-            # At rest a body fits into a cube from corner to corner of which the limit of size is, as in flight.
-            flagged["size"] |= stage.extent * _CORNERS > limits["size"] * _ROUNDING
-            rows = [(first + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
-            if rows:
-                return min(rows, key=lambda row: row[0])
+            flagged["size"] |= stage.oversized
+            if (stop := earliest(flagged, first)) is not None:
+                return stop
         return None
 
     def _pieces(self, begin: int, end: int) -> Iterator[tuple[int, int, int]]:

@@ -38,7 +38,9 @@ __all__ = [
     "Trajectory",
     "beyond",
     "duty_of",
+    "earliest",
     "in_order",
+    "lengths",
     "touches",
 ]
 
@@ -232,8 +234,7 @@ class Trajectory(Rows):
             limits: As `beyond` takes them.
         """
         flagged = beyond(self.bodies, self.states[begin:end], self.work[begin:end], **limits)
-        rows = [(begin + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
-        return min(rows, key=lambda row: row[0], default=None)
+        return earliest(flagged, begin)
 
 
 class RunningQuantities:
@@ -437,11 +438,16 @@ def beyond(
     flags: dict[str, Flags] = {"energy": np.asarray(in_order(work) > energy)}
     for name, limit, first in (("speed", speed, 7), ("spin", spin, 10)):
         # What is no number is beyond every limit.
-        flags[name] = np.asarray(~(_length(states[:, body, first : first + 3]) <= limit).all(axis=1))
+        flags[name] = np.asarray(~(lengths(states[:, body, first : first + 3]) <= limit).all(axis=1))
     places = states[:, body, :3]
-    away = _length(places - _centre(places, bodies.masses[body])[:, np.newaxis])
-    flags["size"] = np.asarray(~(away <= size).all(axis=1))
-    return flags
+    away = lengths(places - _centre(places, bodies.masses[body])[:, np.newaxis])
+    return flags | {"size": np.asarray(~(away <= size).all(axis=1))}
+
+
+def earliest(flagged: Mapping[str, Flags], begin: int) -> tuple[int, str] | None:
+    """Returns the first row with a flag, of rows from `begin` on, and the name of the first flag that it has."""
+    rows = [(begin + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
+    return min(rows, key=lambda row: row[0], default=None)
 
 
 # -- formulas ---------------------------------------------------------------------------------------------------------
@@ -455,7 +461,8 @@ def in_order(values: Array) -> Array:
     return sums[..., -1]
 
 
-def _length(vectors: Array) -> Array:
+def lengths(vectors: Array) -> Array:
+    """Returns the lengths of vectors, shape (..., 3), by one order of additions for any shape."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.sqrt(x * x + y * y + z * z)
 
@@ -531,7 +538,7 @@ class Block:
                 raise KeyError(name)
         if axis == "horizontal":
             vectors = vectors * np.array([1.0, 0.0, 1.0])
-        return _length(vectors) if axis in ("", "horizontal") else vectors[:, "xyz".index(axis)]
+        return lengths(vectors) if axis in ("", "horizontal") else vectors[:, "xyz".index(axis)]
 
     def _centre(self, cube: str | None) -> Array:
         """Returns the centre of mass of a cube or the body in each row, (k, 3)."""

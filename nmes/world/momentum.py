@@ -55,7 +55,7 @@ def keep_momentum(entities: Entities, cubes: Sequence[Cube], before: Sequence[Mo
         return 0.0
     mass = total(each.mass for each in now)
     more = (lacks[0] / mass, lacks[1] / mass, lacks[2] / mass)
-    for each in (*now[1:], now[0]):  # no edit to be counted: that a cube has come is one
+    for each in now:  # no edit to be counted: that a cube has come is one
         state = replace(each.state, linear_velocity=plus(each.state.linear_velocity, more))
         entities.simulation.set_body_state(each.cube.body, state)
     there = {id(each.cube) for each in before}
