@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import util
@@ -52,8 +51,14 @@ def test_ctrl_c_while_a_process_is_begun_comes_when_it_has_all_it_needs(
 
     def interrupted(path: bytes, arguments: Sequence[str], passed: Sequence[int]) -> int:
         begun.append(begin(path, arguments, passed))
+        taken, told = os.pipe()
+        os.set_blocking(told, False)
+        before = signal.set_wakeup_fd(told)
         os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.05)  # for the other thread to take it, upon which Python handles it in this one
+        os.read(taken, 1)  # the other thread has taken it, upon which Python handles it in this one
+        signal.set_wakeup_fd(before)
+        os.close(taken)
+        os.close(told)
         return begun[-1]
 
     with another_thread():
@@ -74,13 +79,11 @@ def test_signals_that_are_held_back_come_at_the_end_in_their_order() -> None:
     both = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda number, _: came.append(number)) for number in both}
     try:
-        with another_thread():
-            with signals_deferred():
-                for number in reversed(both):
-                    os.kill(os.getpid(), number)
-                    time.sleep(0.01)
-                assert came == []
-            assert came == [*reversed(both)]
+        with signals_deferred():
+            for number in reversed(both):
+                signal.raise_signal(number)
+            assert came == []
+        assert came == [*reversed(both)]
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
