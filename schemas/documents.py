@@ -469,6 +469,11 @@ class ShippedDocuments:
         entries = (entry.name for entry in (files(self.package) / self.folder).iterdir())
         return tuple(sorted(name.removesuffix(".json") for name in entries if name.endswith(".json")))
 
+    def texts(self) -> dict[str, str]:
+        """Returns the text of each of them, by its name, in the order of the names."""
+        folder = files(self.package) / self.folder
+        return {name: (folder / f"{name}.json").read_text(encoding="utf-8") for name in self.names()}
+
     def read(self, name: str | Path) -> bytes:
         """Returns the bytes of the file at a path or, where there is none, of the shipped document of that name.
 

@@ -1,8 +1,8 @@
 """All runs of a study: several at once, each kept whole as soon as it is done.
 
-Hides the folder in which they are kept, one for each hash of what is asked and of what computes alike. A kill costs
-what was under way: whoever comes next does that again, and since runs depend on nothing but the study, nobody sees that
-there was a kill.
+Hides the folder in which they are kept, one for each hash of what is asked, of the tasks and genomes that ship, which
+commands may name, and of what computes alike. A kill costs what was under way: whoever comes next does that again, and
+since runs depend on nothing else, nobody sees that there was a kill.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ import orjson
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.errors import StudyError
+from nmes.evaluation.setting import MATCHES
+from nmes.evaluation.setting import SHIPPED as TASKS
+from nmes.genome.genome import SHIPPED as GENOMES
 from nmes.schemas.documents import JsonObject, canonical_hash
 from nmes.schemas.files import lock_kept
 from nmes.study.commands import Stopped, Stopper, perform
@@ -132,7 +135,8 @@ def count_done(plan: Plan) -> int:
 
 def _work(plan: Plan) -> Path:
     """Returns where runs are kept: those of this very plan, and of what computes alike."""
-    here = canonical_hash(decisive(fingerprint(load_backend("mujoco"))))
+    shipped = [place.texts() for place in (TASKS, MATCHES, GENOMES)]
+    here = canonical_hash({"here": decisive(fingerprint(load_backend("mujoco"))), "shipped": shipped})
     return plan.study.folder / "work" / f"{plan.budget}-{plan.asked[:16]}-{here[:8]}"
 
 

@@ -18,7 +18,8 @@ import pytest
 
 from command_line import run
 from nmes.errors import StudyError
-from nmes.schemas.documents import canonical_hash
+from nmes.evaluation.setting import SHIPPED as TASKS
+from nmes.schemas.documents import ShippedDocuments, canonical_hash
 from nmes.study import Results, Study, run_study, verify_study
 from nmes.study.claims import evaluate
 from nmes.study.document import PlannedRun
@@ -334,7 +335,7 @@ def test_kills_and_ctrl_c_leave_what_is_done_and_do_not_show(whole: Path, tmp_pa
         assert text.replace("verify killed", "verify whole") == (whole / "small" / name).read_text()
 
 
-def test_what_was_done_where_other_numbers_come_out_is_done_again(
+def test_what_was_done_where_other_numbers_come_out_or_with_other_tasks_is_done_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = make_study(tmp_path / "moved")
@@ -350,6 +351,11 @@ def test_what_was_done_where_other_numbers_come_out_is_done_again(
     assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [1, 2, 3, 4, 5, 6]
     assert len(run_study(plan, 1, nothing).rows) == len(done) == 6  # what is kept is not done again
     monkeypatch.setattr("nmes.study.run.fingerprint", lambda backend: {"probe": "this one"})
+    assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [7, 8, 9, 10, 11, 12]
+    changed = {**TASKS.texts(), "walk": "{}"}
+    with monkeypatch.context() as shipped:
+        shipped.setattr(ShippedDocuments, "texts", lambda place: changed if place == TASKS else {})
+        assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [13, 14, 15, 16, 17, 18]
     assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [7, 8, 9, 10, 11, 12]
     (kept, *_) = sorted(folder.glob("work/*/done/*.json"))
     for content in (b"{}", b"[]", b"{", kept.read_bytes().replace(b'"score":', b'"points":')):
