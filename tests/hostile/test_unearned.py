@@ -210,7 +210,7 @@ def test_who_is_flung_by_a_limb_that_is_cut_off_has_not_walked(overlap: float) -
 def test_who_throws_a_sea_anchor_back_has_not_swum() -> None:
     """A heavy bar pushes itself off from a plate, by 14 m and once, and glides: 10 m in ten seconds."""
     cubes: list[Json] = [
-        {"id": "bar", "size": [3.2, 0.08, 0.3], "mass": 200, "position": [0, 0.04, 0]},
+        {"id": "bar", "size": [3.2, 0.08, 0.3], "mass": 190, "position": [0, 0.04, 0]},
         {"id": "plate", "size": [0.05, 0.9, 0.9], "mass": 4, "position": [0, 0.53, 0]},
     ]
     motor = {"mode": "velocity", "range": [-30, 0], "max_effort": 1200}
@@ -223,6 +223,43 @@ def test_who_throws_a_sea_anchor_back_has_not_swum() -> None:
     assert evaluation.error is None and [result.fault for result in evaluation.results] == [None] * 3
     assert min(result.distance for result in evaluation.results) > 5.0
     assert [result.score for result in evaluation.results] == [0.0] * 3
+
+
+def test_who_shakes_does_not_swim_by_the_momentum_that_steps_make() -> None:
+    """Lumps of up to 12 t/m^3 shake 8 and 16 times a second: steps of 1/240 s push them, half as long ones do not."""
+    lumps = [
+        (0.128, 15.6642, [0, 3, 0]),
+        (0.1036, 13.75352, [-0.1542, 3.2593, 0.296]),
+        (0.0976, 10.15924, [-0.5272, 3.109, 0.6432]),
+        (0.1228, 1.14734, [-0.898, 2.7327, 0.2788]),
+        (0.2404, 0.91031, [-1.0577, 3.0056, 0.4797]),
+        (0.0771, 2.33414, [-0.7673, 3.2065, 0.2165]),
+    ]
+    hinges = [  # anchor, axis, how far it swings, effort, frequency, phase, offset
+        ([-0.028, 3.0471, 0.0538], [0.49859, -0.4751, 0.72505], 2.8718, 382.5885, 7.9428, 1.2272, -0.2844),
+        ([-0.1978, 3.2417, 0.3366], [0.29477, 0.70338, 0.64681], 0.078, 10.6423, 7.9428, -1.3235, 0.4134),
+        ([-0.5611, 3.0746, 0.61], [0.53216, -0.67697, -0.50845], 2.968, 15.7465, 15.8856, 2.6904, -0.2108),
+        ([-0.9294, 2.7864, 0.3183], [0.25535, -0.11401, 0.9601], 0.1459, 18.677, 7.9428, 0.1696, 0.1464),
+        ([-0.9626, 3.0714, 0.3935], [0.59829, 0.6531, 0.46423], 2.2445, 17.3365, 15.8856, -0.9802, -0.1777),
+    ]
+    cubes = [
+        {"id": f"c{at}", "size": size, "mass": mass, "position": where} for at, (size, mass, where) in enumerate(lumps)
+    ]
+    joints: list[Json] = []
+    waves: list[Json] = []
+    for at, (anchor, axis, swing, effort, frequency, phase, offset) in enumerate(hinges):
+        motor = {"mode": "position", "range": [-swing, swing], "max_effort": effort}
+        ends = {"cube1": f"c{at}", "cube2": f"c{at + 1}", "type": "hinge", "anchor": anchor, "axis": axis}
+        joints.append({"id": f"j{at}", **ends, "motor": motor})
+        waves.append({"motor": f"j{at}", "amplitude": 1, "frequency": frequency, "phase": phase, "offset": offset})
+    shaker = genome({"cubes": cubes, "joints": joints}, brain={"kind": "sine", "oscillators": waves})
+    swim = Task.load("swim")
+    assert [why.split(", ")[1] for why in swim.check(shaker.body)][:1] == ["at most 2500 are allowed"]
+    dense = {**swim.document, "name": "dense", "limits": {**swim.document["limits"], "density": 20000}}
+    coarse = {**dense, "world": {**swim.document["world"], "substeps": 4}}
+    scores = [evaluate(shaker, Task(document), seeds=[1]).score for document in (coarse, dense)]
+    assert scores[0] is not None and scores[0] > 15.0
+    assert scores[1] is not None and scores[1] < 0.5
 
 
 def test_who_stands_up_and_draws_its_leg_in_has_not_jumped() -> None:
@@ -320,7 +357,7 @@ def test_who_swings_on_a_spring_that_no_engine_can_follow_may_not_swim() -> None
     task = Task.load("swim")
     evaluation = evaluate(flapper(10109), task)
     assert evaluation.results == () and "the spring of joint 'tail' may swing at " in str(evaluation.error)
-    assert "at most 240 are allowed: the engine's steps are of 0.00417 s" in str(evaluation.error)
+    assert "at most 480 are allowed: the engine's steps are of 0.00208 s" in str(evaluation.error)
     soft = evaluate(flapper(220), task, seeds=[1])
     assert soft.error is None and soft.results[0].score == 0.0
     finer = Task({**task.document, "world": {**task.document["world"], "substeps": 28}})
