@@ -28,7 +28,7 @@ from nmes.evaluation.steps import Drive, Step
 from nmes.genome import Genome
 from nmes.world import World
 
-__all__ = ["Audit", "audited"]
+__all__ = ["Audit", "audited", "do"]
 
 TOLERANCE: Final = 0.05
 """The part of the motors' work by which the balance may be broken."""
@@ -175,13 +175,13 @@ def audited(genome: Genome, task: Task, seed: int) -> Audit:
         for step in steps:
             if episode._observer is not None:  # this is the start
                 break
-            _do(world, client, step)
+            do(world, client, step)
         else:
             return Audit(episode.result(), 0.0, 0.0, 0.0, balanced=True)
         books = _Books(world)
         with books.open():
             for later in chain([step], steps):
-                _do(world, client, later)
+                do(world, client, later)
                 if later is None:
                     books.note()
         return books.close(episode.result())
@@ -189,7 +189,12 @@ def audited(genome: Genome, task: Task, seed: int) -> Audit:
         world.close()
 
 
-def _do(world: World, client: int, step: Step) -> None:
+def do(world: World, client: int, step: Step) -> None:
+    """Does one step of an episode in its world.
+
+    Raises:
+        WorldError: The world refuses it.
+    """
     if step is None:
         world.tick()
     elif isinstance(step, Drive):

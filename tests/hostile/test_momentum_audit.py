@@ -1,0 +1,52 @@
+"""The auditor of momentum: he finds little that nothing gave in honest work, and much in what shakes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from momentum_audit import momentum_of_nothing
+from nmes.evaluation import Task
+from nmes.genome import Genome
+from nmes.world import World
+from shakers import lead_shaker
+
+HONEST = [
+    ("walker", "walk", 0.03),
+    ("galloper", "walk", 0.03),
+    ("jumper", "jump-high", 0.03),
+    ("eel", "swim", 0.15),
+    ("sidewinder", "swim", 0.15),
+    ("seeker", "reach", 0.03),
+]
+"""Who, on what, and how much momentum of nothing each kilogram may have a second, m/s^2."""
+
+
+@pytest.mark.parametrize(("genome", "name", "most"), HONEST)
+def test_honest_creatures_have_little_momentum_that_nothing_gave(genome: str, name: str, most: float) -> None:
+    task = Task.load(name)
+    made = momentum_of_nothing(Genome.load(genome), task, 1)
+    assert len(made) > task.tick_rate
+    assert np.linalg.norm(made[-1]) < most * len(made) / task.tick_rate
+
+
+def test_what_shakes_on_coarse_steps_has_much() -> None:
+    swim = Task.load("swim").document
+    limits, world = {**swim["limits"], "density": 20000}, {**swim["world"], "substeps": 4}
+    task = Task({**swim, "name": "coarse", "limits": limits, "world": world})
+    made = momentum_of_nothing(lead_shaker(), task, 1)
+    assert np.linalg.norm(made[-1]) > 3.0 * len(made) / task.tick_rate
+
+
+def test_a_push_that_the_engine_applies_is_no_momentum_of_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    tick, creature, task = World.tick, Genome.load("walker"), Task.load("walk")
+
+    def pushing(world: World) -> None:
+        push = {"type": "apply_physics", "cube_name": "creature.torso", "impulse": [0.5, 0, 0]}
+        if world.frame > 120:
+            assert world.execute(1, push)["type"] == "physics_applied"
+        tick(world)
+
+    monkeypatch.setattr(World, "tick", pushing)
+    made = momentum_of_nothing(creature, task, 1)
+    assert len(made) > 60 and np.linalg.norm(made[-1]) < 0.03 * len(made) / task.tick_rate
