@@ -39,7 +39,8 @@ class Pane {
   private scene: Scene | undefined;
   private info: WorldInfo | undefined;
   private chosen: string | undefined;
-  private pulled: { pull: Pull; at: number; sent?: Force; refused: boolean } | undefined; // `at`: in which frame a force was sent last
+  // `at`: in which frame a force was due last; `waiting`: whether one has no answer yet
+  private pulled: { pull: Pull; at: number; sent?: Force; waiting: boolean; refused: boolean } | undefined;
   private now = -1; // the frame that the world has told last
   private frames = 0;
   private known = 0; // creatures of the scene before
@@ -361,7 +362,8 @@ class Pane {
 
   /**
    * Pulls a cube towards the pointer, tick by tick, until it is let go: a force acts for one tick, and all that come
-   * before a tick act together. So one is sent for each that the world tells of, and one at first where it ticks by itself.
+   * before a tick act together. So one is sent for each that the world tells of, and one at first where it ticks by itself;
+   * and none while another has no answer, or a page that was held up would send all that it missed at once.
    */
   private pull(pull: Pull | null): void {
     if (pull === null) {
@@ -369,7 +371,7 @@ class Pane {
     } else if (this.pulled !== undefined) {
       this.pulled.pull = pull;
     } else {
-      this.pulled = { pull, at: this.now, refused: false };
+      this.pulled = { pull, at: this.now, waiting: false, refused: false };
       preview(this.message(this.force(pull)));
       if (this.info?.paused === false && this.info.mode !== "lockstep") {
         void this.push();
@@ -380,13 +382,16 @@ class Pane {
   /** Sends a force; what was refused once is not tried again until another cube is gripped. */
   private async push(): Promise<void> {
     const { pulled } = this;
-    if (pulled !== undefined && !pulled.refused) {
+    if (pulled !== undefined && !pulled.waiting && !pulled.refused) {
       pulled.sent = this.force(pulled.pull);
+      pulled.waiting = true;
       try {
         await this.visit.request(pulled.sent);
       } catch (error) {
         pulled.refused = true;
         notify(words(error), "bad");
+      } finally {
+        pulled.waiting = false;
       }
     }
   }
