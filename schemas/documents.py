@@ -469,10 +469,9 @@ class ShippedDocuments:
         entries = (entry.name for entry in (files(self.package) / self.folder).iterdir())
         return tuple(sorted(name.removesuffix(".json") for name in entries if name.endswith(".json")))
 
-    def texts(self) -> dict[str, str]:
-        """Returns the text of each of them, by its name, in the order of the names."""
-        folder = files(self.package) / self.folder
-        return {name: (folder / f"{name}.json").read_text(encoding="utf-8") for name in self.names()}
+    def shipped(self, name: str) -> bytes:
+        """Returns the bytes of the shipped document of a name, which is one of `names`, whatever files there are."""
+        return (files(self.package) / self.folder / f"{name}.json").read_bytes()
 
     def read(self, name: str | Path) -> bytes:
         """Returns the bytes of the file at a path or, where there is none, of the shipped document of that name.
@@ -486,7 +485,7 @@ class ShippedDocuments:
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
             names = self.names()
             if str(name) in names:
-                return (files(self.package) / self.folder / f"{name}.json").read_bytes()
+                return self.shipped(str(name))
             hint = did_you_mean(str(name), names) or f"; there are {', '.join(names)}"
             message = f"there is no {self.kind} {str(name)!r}, nor such a file ({error.strerror}){hint}"
             raise DocumentError([("", message)]) from error

@@ -16,7 +16,6 @@ from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from functools import cache
-from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
@@ -192,7 +191,7 @@ def shipped_task(name: str) -> Task | MatchTask:
     """Returns the shipped task of a name, with roles or without; there must be one."""
     # Not Task.load, to which a file of that name comes first.
     place = MATCHES if name in MATCHES.names() else SHIPPED
-    document = parse_document((files(place.package) / place.folder / f"{name}.json").read_bytes())
+    document = parse_document(place.shipped(name))
     return MatchTask(document) if place is MATCHES else Task(document)
 
 

@@ -135,7 +135,7 @@ def count_done(plan: Plan) -> int:
 
 def _work(plan: Plan) -> Path:
     """Returns where runs are kept: those of this very plan, and of what computes alike."""
-    shipped = [place.texts() for place in (TASKS, MATCHES, GENOMES)]
+    shipped = [{name: place.shipped(name).decode() for name in place.names()} for place in (TASKS, MATCHES, GENOMES)]
     here = canonical_hash({"here": decisive(fingerprint(load_backend("mujoco"))), "shipped": shipped})
     return plan.study.folder / "work" / f"{plan.budget}-{plan.asked[:16]}-{here[:8]}"
 

@@ -18,7 +18,6 @@ import pytest
 
 from command_line import run
 from nmes.errors import StudyError
-from nmes.evaluation.setting import SHIPPED as TASKS
 from nmes.schemas.documents import ShippedDocuments, canonical_hash
 from nmes.study import Results, Study, run_study, verify_study
 from nmes.study.claims import evaluate
@@ -352,9 +351,9 @@ def test_what_was_done_where_other_numbers_come_out_or_with_other_tasks_is_done_
     assert len(run_study(plan, 1, nothing).rows) == len(done) == 6  # what is kept is not done again
     monkeypatch.setattr("nmes.study.run.fingerprint", lambda backend: {"probe": "this one"})
     assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [7, 8, 9, 10, 11, 12]
-    changed = {**TASKS.texts(), "walk": "{}"}
-    with monkeypatch.context() as shipped:
-        shipped.setattr(ShippedDocuments, "texts", lambda place: changed if place == TASKS else {})
+    read = ShippedDocuments.shipped
+    with monkeypatch.context() as changed:
+        changed.setattr(ShippedDocuments, "shipped", lambda place, name: b"{}" if name == "walk" else read(place, name))
         assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [13, 14, 15, 16, 17, 18]
     assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [7, 8, 9, 10, 11, 12]
     (kept, *_) = sorted(folder.glob("work/*/done/*.json"))

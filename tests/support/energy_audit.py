@@ -28,7 +28,7 @@ from nmes.evaluation.steps import Drive, Step
 from nmes.genome import Genome
 from nmes.world import World
 
-__all__ = ["Audit", "audited", "do"]
+__all__ = ["Audit", "audited", "begin"]
 
 TOLERANCE: Final = 0.05
 """The part of the motors' work by which the balance may be broken."""
@@ -170,31 +170,45 @@ def audited(genome: Genome, task: Task, seed: int) -> Audit:
     """
     world = World(task.world_config(seed))
     try:
-        episode = Episode(world, genome, brain_of(genome), task, seed)
-        client, steps = world.join(), episode.steps()
-        for step in steps:
-            if episode._observer is not None:  # this is the start
-                break
-            do(world, client, step)
-        else:
+        episode, ticks = begin(world, genome, task, seed)
+        if episode._observer is None:
             return Audit(episode.result(), 0.0, 0.0, 0.0, balanced=True)
         books = _Books(world)
         with books.open():
-            for later in chain([step], steps):
-                do(world, client, later)
-                if later is None:
-                    books.note()
+            for _ in ticks:
+                books.note()
         return books.close(episode.result())
     finally:
         world.close()
 
 
-def do(world: World, client: int, step: Step) -> None:
-    """Does one step of an episode in its world.
+def begin(world: World, genome: Genome, task: Task, seed: int) -> tuple[Episode, Iterator[None]]:
+    """Does the steps of an episode up to its start, which it may not come to.
+
+    Returns:
+        The episode, and an iterator that does the other steps, and yields after each tick.
 
     Raises:
-        WorldError: The world refuses it.
+        DocumentError: The genome's brain does not fit it.
+        WorldError: The world refuses the creature.
     """
+    episode = Episode(world, genome, brain_of(genome), task, seed)
+    client, steps = world.join(), episode.steps()
+
+    def ticks(first: Step) -> Iterator[None]:
+        for step in chain([first], steps):
+            _do(world, client, step)
+            if step is None:
+                yield
+
+    for step in steps:
+        if episode._observer is not None:  # this is the start
+            return episode, ticks(step)
+        _do(world, client, step)
+    return episode, iter(())
+
+
+def _do(world: World, client: int, step: Step) -> None:
     if step is None:
         world.tick()
     elif isinstance(step, Drive):

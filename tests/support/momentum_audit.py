@@ -7,18 +7,16 @@ applied them. What the tree's momentum changes beyond their impulses the step ha
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import Any
 from unittest.mock import patch
 
 import mujoco
 import numpy as np
 
-from energy_audit import do
+from energy_audit import begin
 from nmes.backend import Array
 from nmes.backends.mujoco3d.simulation import MujocoSimulation
 from nmes.evaluation import Task
-from nmes.evaluation.episode import Episode, brain_of
 from nmes.genome import Genome
 from nmes.world import World
 
@@ -38,13 +36,8 @@ def momentum_of_nothing(genome: Genome, task: Task, seed: int) -> Array:
     """
     world = World(task.world_config(seed))
     try:
-        episode = Episode(world, genome, brain_of(genome), task, seed)
-        client, steps = world.join(), episode.steps()
-        for step in steps:
-            if episode._observer is not None:  # this is the start
-                break
-            do(world, client, step)
-        else:
+        episode, ticks = begin(world, genome, task, seed)
+        if episode._observer is None:
             return np.zeros((0, 3))
         cubes = [world.entities.cube(name) for name in world.creature("creature").cubes.values()]
         numbers, masses = [cube.body for cube in cubes], np.array([cube.mass for cube in cubes])
@@ -70,10 +63,8 @@ def momentum_of_nothing(genome: Genome, task: Task, seed: int) -> Array:
 
         mj_step, began = mujoco.mj_step, momentum()
         with patch.object(mujoco, "mj_step", mujoco_step):
-            for later in chain([step], steps):
-                do(world, client, later)
-                if later is None:
-                    rows.append((momentum() - began - given) / masses.sum())
+            for _ in ticks:
+                rows.append((momentum() - began - given) / masses.sum())
         return np.array(rows[: episode.result().ticks]).reshape(-1, 3)
     finally:
         world.close()
