@@ -211,7 +211,7 @@ class Form {
     return [...this.#recordings.selectedOptions].map((option) => option.value);
   }
 
-  /** Chooses a creature that learns something in half a minute, on its task. */
+  /** Chooses a creature that learns something in a minute, on its task. */
   #easy(): void {
     const has = (choice: HTMLSelectElement, name: string): boolean => [...choice.options].some((option) => option.value === name);
     if (!has(this.#start, PUPIL) || !has(this.#task, LESSON)) return;
