@@ -211,12 +211,13 @@ class Forces:
 
     Attributes:
         cubes: The names of the cubes that were pushed, in order.
+        answered: How many answers to them were sent on to the page.
         held: Whether no answers to pushes come through.
     """
 
     def __init__(self, page: Page) -> None:
         self.cubes: list[str] = []
-        self.held = False
+        self.answered, self.held = 0, False
         self._kept: list[tuple[WebSocketRoute, str | bytes]] = []
         self._routes: list[WebSocketRoute] = []
         page.route_web_socket(re.compile("/ws$"), self._carry)
@@ -232,10 +233,12 @@ class Forces:
             server.send(message)
 
         def answered(message: str | bytes) -> None:
-            if self.held and '"physics_applied"' in str(message):
+            push = '"physics_applied"' in str(message)
+            if self.held and push:
                 self._kept.append((route, message))
             else:
                 route.send(message)
+                self.answered += push
 
         route.on_message(passed)
         server.on_message(answered)
@@ -245,6 +248,12 @@ class Forces:
         self.held = False
         for route, message in self._kept:
             route.send(message)
+        self.answered += len(self._kept)
+        self._kept = []
+
+    def has_answers(self) -> bool:
+        """Whether all answers that come through were sent on: asked anything then, the page has them."""
+        return self.held or self.answered == len(self.cubes)
 
     def tell(self, message: dict[str, Any]) -> None:
         """Tells the page something, on the newest connection that it has to a world."""
@@ -336,7 +345,7 @@ def test_what_is_held_with_the_mouse_is_pulled_once_a_tick_whichever_socket_tell
             begun = frame(page)
             for _ in range(3):
                 client.step()
-                until(page, lambda: frame(page) - begun == len(forces.cubes) > 0)
+                until(page, lambda: forces.has_answers() and frame(page) - begun == len(forces.cubes) > 0)
                 forces.tell({"type": "tick", "t": 0, "frame": begun})  # which comes late
                 until(page, lambda: frame(page) == begun)
 
@@ -350,14 +359,13 @@ def test_what_is_held_with_the_mouse_is_not_pulled_again_before_the_last_pull_is
 
             def step(pulls: int) -> None:
                 now = client.step()["frame"]
-                until(page, lambda: frame(page) == now and len(forces.cubes) >= pulls)
+                until(page, lambda: len(forces.cubes) >= pulls and forces.has_answers() and frame(page) == now)
                 assert len(forces.cubes) == pulls
 
             forces.held = True
             for _ in range(5):
                 step(1)
             forces.release()
-            page.wait_for_timeout(200)  # until the page has it
             step(2)
             step(3)
 
