@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import sin, sqrt
+from math import inf, sin, sqrt
 
 import mujoco
 import numpy as np
@@ -66,6 +66,9 @@ _OF_DOF = ("dof_M0", "dof_invweight0", "dof_length")
 _BOX, _CYLINDER = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 _WIDEST_SWING = 1.4  # rad: a cone's two swinging hinges fall together at a right angle
 _SERVO_RATE = 60.0  # 1/s: a strong servo closes 63% of a small error in 1/30 s
+_EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
+# How much of a joint's velocity a motor may take in a step of an explicit integrator: at twice, chains oscillate.
+_FIRMEST = 0.5
 
 
 @dataclass(slots=True)
@@ -246,18 +249,19 @@ def _write_motor(compiled: CompiledModel, joint: Joint, dof: int) -> None:
     model, params, motor = compiled.model, joint.params, compiled.actuator[joint.number]
     # What the two sides weigh against each other along this joint.
     inertia = 1.0 / max(float(model.dof_invweight0[dof]), 1e-12)
+    firmest = _FIRMEST * inertia / model.opt.timestep if model.opt.integrator in _EXPLICIT else inf
     gain, bias = np.zeros(model.actuator_gainprm.shape[1]), np.zeros(model.actuator_biasprm.shape[1])
     if params.motor == "velocity" and params.max_effort > 0.0:
         # As stiff as can be without overshooting when the bound on the effort is what stops it: one step at the
-        # bound then ends within the band in which the drive is linear.
-        gain[0] = 2.0 * inertia / model.opt.timestep
+        # bound then ends within the band in which the drive is linear. And no stiffer than what the integrator bears.
+        gain[0] = min(2.0 * inertia / model.opt.timestep, firmest)
         bias[2] = -gain[0]
     elif params.motor == "position" and params.max_effort > 0.0:
         gain[0] = inertia * _SERVO_RATE * _SERVO_RATE
         # Critically damped; and where the bound is low, damped so much that from one unit away (rad or m) the bound is
         # enough to brake: at full effort that takes half the root of unit * inertia / effort.
         brake = 0.5 * gain[0] * sqrt(inertia / max(params.max_effort, 1e-200))  # a product within floats
-        bias[1], bias[2] = -gain[0], -max(2.0 * inertia * _SERVO_RATE, brake)
+        bias[1], bias[2] = -gain[0], -min(max(2.0 * inertia * _SERVO_RATE, brake), firmest)
     model.actuator_gainprm[motor], model.actuator_biasprm[motor] = gain, bias
     bound = max(params.max_effort, 1e-300)
     model.actuator_forcerange[motor] = (-bound, bound)

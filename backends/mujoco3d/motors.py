@@ -4,9 +4,10 @@ Hides where in MuJoCo's arrays they are. A target that is set here is a control 
 parameter of its joint only in `sync`, since making new parameters costs more than all the rest; so `sync` comes before
 anything that looks at the parameters of joints. An `ActuatorBatch` belongs to one compiled model and its data.
 
-The work of motors is that of every engine step, with the effort that the integrator applied: where a motor brakes in
-proportion to its velocity, the implicit integrators take the velocity after the step, and MuJoCo tells the effort at
-the velocity before it. A motor at the bound of its effort brakes no more than that.
+The work of motors is that of every engine step, with the effort that the integrator applied. MuJoCo tells that at the
+velocity before the step, where the implicit integrators take the velocity after it for a motor that brakes in
+proportion to its velocity; and with rk4 it tells the one at the end of the step, where that in the middle of it counts.
+A motor at the bound of its effort brakes no more than that.
 """
 
 from __future__ import annotations
@@ -22,11 +23,17 @@ from nmes.backend import Array
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel
 
-__all__ = ["ActuatorBatch", "StepLog", "WorkLog", "braking", "compact", "mean_powers"]
+__all__ = ["ActuatorBatch", "Slopes", "StepLog", "WorkLog", "compact", "mean_powers"]
 
 _ROOM, _ROWS = 1 << 15, 256  # numbers, and steps, that are kept before their powers are computed
 
-_IMPLICIT = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+# How much of a motor's answer to the change of velocity within a step is in its effort beside what MuJoCo tells.
+_LATER = {
+    mujoco.mjtIntegrator.mjINT_IMPLICIT: 1.0,
+    mujoco.mjtIntegrator.mjINT_IMPLICITFAST: 1.0,
+    mujoco.mjtIntegrator.mjINT_EULER: 0.0,
+    mujoco.mjtIntegrator.mjINT_RK4: -0.5,
+}
 
 Joints = tuple[int, ...]
 Indices = slice | npt.NDArray[np.intp]
@@ -206,7 +213,7 @@ class StepLog:
         self._known = self._rows = 0  # rows of which the powers are computed, and rows in all
         owner = {motor: compiled.joint[joint].v - span.start for joint, motor in compiled.actuator.items()}
         self._dofs = compact([owner.get(motor, 0) for motor in range(motors)])  # nobody asks for an arena's own
-        self._braking, self._bounds = braking(model, slice(None))
+        self._slopes = Slopes.of(model, slice(None))
 
     def keep(self) -> int:
         """Keeps what is in the slots; returns its row."""
@@ -224,31 +231,58 @@ class StepLog:
         if begin < end:
             speeds = self._speeds[begin:end, :, self._dofs]
             efforts, before, after = self._efforts[begin:end], speeds[:, :-1], speeds[:, 1:]
-            self._powers[begin:end] = mean_powers(efforts, before, after, self._braking, self._bounds)
+            self._powers[begin:end] = mean_powers(efforts, before, after, self._slopes)
             self._known = end
         return self._powers[:end]
 
 
-def braking(model: mujoco.MjModel, motors: Indices) -> tuple[Array, Array]:
-    """Returns how the efforts of motors grow with the velocity in the integrator, and the bounds of the efforts."""
-    implicit = float(model.opt.integrator in _IMPLICIT)
-    return model.actuator_biasprm[motors, 2] * implicit, model.actuator_forcerange[motors, 1].copy()
+class Slopes(NamedTuple):
+    """How the efforts that act in an engine step differ from those that MuJoCo tells, as `mean_powers` has it.
+
+    Attributes:
+        change: Per change of velocity in the step, shape (..., motors), N m s/rad or N s/m.
+        way: Per sum of the velocities before and after it; None where that changes nothing.
+        bounds: The bounds of the efforts, N m or N.
+    """
+
+    change: Array
+    way: Array | None
+    bounds: Array
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, motors: Indices) -> Slopes:
+        """Returns the slopes of some motors of a model."""
+        later, bias = _LATER[mujoco.mjtIntegrator(model.opt.integrator)], model.actuator_biasprm[motors]
+        way = bias[:, 1] * (-0.25 * model.opt.timestep) if later < 0.0 else None
+        return cls(bias[:, 2] * later, way, model.actuator_forcerange[motors, 1].copy())
+
+    @classmethod
+    def stack(cls, each: Sequence[Slopes]) -> Slopes:
+        """Returns the slopes of many models with one integrator: arrays (models, 1, 1, motors)."""
+        change, bounds = np.array([one.change for one in each]), np.array([one.bounds for one in each])
+        ways = [one.way for one in each if one.way is not None]
+        way = np.array(ways)[:, None, None] if ways else None
+        return cls(change[:, None, None], way, bounds[:, None, None])
 
 
-def mean_powers(efforts: Array, before: Array, after: Array, braking: Array, bounds: Array) -> Array:
+def mean_powers(efforts: Array, before: Array, after: Array, slopes: Slopes) -> Array:
     """Returns the mean powers of motors over the engine steps of each tick, and their mean sizes, W.
 
     Args:
         efforts: What MuJoCo tells of each engine step, shape (..., steps, motors), N m or N.
         before: Velocities before each, the same shape, rad/s or m/s.
         after: Velocities after each.
-        braking: How the efforts grow with the velocity in the integrator, shape (..., motors).
-        bounds: The bounds of the efforts, shape (..., motors).
+        slopes: What acted besides, below the bounds.
 
     Returns:
         Array (..., 2, motors).
     """
-    efforts = efforts + np.where(np.abs(efforts) >= bounds, 0.0, braking * (after - before))
+    besides = slopes.change * (after - before)
+    if slopes.way is not None:
+        besides = besides + slopes.way * (before + after)
+    efforts = efforts + np.where(np.abs(efforts) >= slopes.bounds, 0.0, besides)
+    if slopes.way is not None:
+        efforts = np.clip(efforts, -slopes.bounds, slopes.bounds)
     powers = efforts * (before + after) / 2.0
     out = np.empty((*powers.shape[:-2], 2, powers.shape[-1]))
     for size, each in enumerate((powers, np.abs(powers))):

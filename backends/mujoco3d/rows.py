@@ -8,7 +8,8 @@ fault, whatever its kind, and the contacts of what sleeps.
 A step computes poses and velocities of the new state too, as a simulation does when they are read; contacts are those
 of the last engine step, so where they are wanted they are taken out before. Where many ticks are known beforehand, the
 batch takes them in one call and records each engine step: what it records of poses is that of the state before the
-step, so that of the state after a tick comes with the first step of the next.
+step, so that of the state after a tick comes with the first step of the next. Not so with rk4, which evaluates a step
+in several states and leaves the poses of the last of these.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from nmes.backend import Array, BodyState, Contact, Places, Row, Rows, RowsTrack
 from nmes.backend.rotation import total
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel
-from nmes.backends.mujoco3d.motors import Indices, braking, compact, mean_powers
+from nmes.backends.mujoco3d.motors import Indices, Slopes, compact, mean_powers
 from nmes.backends.mujoco3d.running import RunningModel
 from nmes.backends.mujoco3d.sensing import Senses
 from nmes.backends.mujoco3d.sleep import AWAKE
@@ -101,7 +102,9 @@ class MujocoRows(Rows):
     def __init__(self, first: MujocoRow, count: int, threads: int, contacts: bool) -> None:
         from mujoco.batch import Batch, SimulationError  # as much as loading all of MuJoCo; few processes need it
 
-        self.count, self._failure, self._sleeps = count, SimulationError, first.sleeps
+        self.count, self._failure = count, SimulationError
+        staged = first.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        self._one_by_one = first.sleeps or contacts or staged  # whether ticks cannot be taken many in one call
         self.compiled: CompiledModel = first.compiled
         self._batch = batch = Batch(first.model, count, threads, contacts or first.sleeps)
         self._rows: list[MujocoRow] = [first] * count
@@ -127,10 +130,9 @@ class MujocoRows(Rows):
         self._batch.set_models([row.model for row in self._rows])
         self.puts += 1
 
-    def braking(self, motors: Indices) -> tuple[Array, Array]:
-        """Returns how motors brake and their bounds, in each place: arrays (places, motors)."""
-        both = [braking(row.model, motors) for row in self._rows]
-        return np.array([one for one, _ in both]), np.array([bound for _, bound in both])
+    def slopes(self, motors: Indices) -> Slopes:
+        """Returns the slopes of motors in each place."""
+        return Slopes.stack([Slopes.of(row.model, motors) for row in self._rows])
 
     # -- motors and time ----------------------------------------------------------------------------------------------
 
@@ -166,7 +168,7 @@ class MujocoRows(Rows):
 
     def run(self, places: Places, joints: Sequence[int], targets: Array, substeps: int, track: RowsTrack) -> list[int]:
         """Drives and advances rows for some ticks."""
-        if len(targets) == 1 or self._sleeps or self._senses is not None:
+        if len(targets) == 1 or self._one_by_one:
             return super().run(places, joints, targets, substeps, track)
         assert isinstance(track, MujocoRowsTrack)
         motors = self._located(tuple(joints)).driven
@@ -299,7 +301,7 @@ class MujocoRowsTrack(RowsTrack):
         self._columns = [column for column, joint in enumerate(motors) if joint in compiled.actuator]
         driven = [motors[column] for column in self._columns]
         self._motors = compact([compiled.actuator[joint] for joint in driven])
-        self._puts, self._braking = rows.puts, rows.braking(self._motors)
+        self._puts, self._slopes = rows.puts, rows.slopes(self._motors)
         self._powers = np.zeros((count, room, 2, len(motors)))
         # What is copied, the places of it that are wanted, and where it goes to.
         self._pose, self._turn = np.empty((count, room, n, 3)), np.empty((count, room, n, 4))
@@ -375,10 +377,9 @@ class MujocoRowsTrack(RowsTrack):
         rows, out = self.rows, self._powers[:, : self.rows]
         if self._columns:
             if self._puts != self._source.puts:
-                self._puts, self._braking = self._source.puts, self._source.braking(self._motors)
-            speeds, slopes, bounds = self._speeds[:, :rows], *(each[:, None, None] for each in self._braking)
-            efforts, before, after = self._efforts[:, :rows], speeds[:, :, :-1], speeds[:, :, 1:]
-            out[..., self._columns] = mean_powers(efforts, before, after, slopes, bounds)
+                self._puts, self._slopes = self._source.puts, self._source.slopes(self._motors)
+            efforts, speeds = self._efforts[:, :rows], self._speeds[:, :rows]
+            out[..., self._columns] = mean_powers(efforts, speeds[:, :, :-1], speeds[:, :, 1:], self._slopes)
         return out
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from nmes.backend import SceneSpec, Simulation
 from nmes.backend.contract import BackendContract
 from nmes.backends.ballistic import BallisticBackend
 from nmes.backends.mujoco3d import MujocoBackend
@@ -25,6 +28,20 @@ class TestPymunk(BackendContract):
 class TestMujoco(BackendContract):
     backend = MujocoBackend
     joint_momentum_error = 0.01  # it integrates joint coordinates, which keeps them together, not their momentum
+
+
+class StagedMujoco(MujocoBackend):
+    """MuJoCo where it computes forces four times a step, in which nothing sleeps."""
+
+    capabilities = MujocoBackend.capabilities - {"sleep"}
+
+    def create(self, scene: SceneSpec) -> Simulation:
+        return super().create(replace(scene, options={"integrator": "rk4", "sleep": False}))
+
+
+class TestStagedMujoco(BackendContract):
+    backend = StagedMujoco
+    joint_momentum_error = 1e-5
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +18,11 @@ STEP = 1 / 240
 NONE: Vector = (0.0, 0.0, 0.0)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 G = 9.81
+Mode = Literal["position", "velocity"]
 
 
-def scene(gravity: float = -G) -> MujocoSimulation:
-    simulation = MujocoBackend().create(SceneSpec(timestep=STEP, gravity=(0.0, gravity, 0.0)))
+def scene(gravity: float = -G, **options: Any) -> MujocoSimulation:
+    simulation = MujocoBackend().create(SceneSpec(timestep=STEP, gravity=(0.0, gravity, 0.0), options=options))
     assert isinstance(simulation, MujocoSimulation)
     return simulation
 
@@ -254,15 +256,49 @@ def test_a_motor_reaches_its_velocity_and_never_exceeds_its_effort(kind: str) ->
 SERVO = JointParams("position", max_effort=5.0)
 
 
-def driven_chain() -> MujocoSimulation:
-    """Makes four cubes in the air, a servo between any two."""
-    simulation = scene(0.0)
+def driven_chain(motor: JointParams = SERVO, **options: Any) -> MujocoSimulation:
+    """Makes four cubes in the air, a motor between any two."""
+    simulation = scene(0.0, **options)
     for number in range(4):
         simulation.add_body(number, box((1.5 * number, 1.0, 0.0)))
     for number in range(3):
         anchor = (1.5 * number + 0.75, 1.0, 0.0)
-        simulation.add_joint(number, JointSpec("hinge", number, number + 1, anchor, (0.0, 0.0, 1.0), SERVO))
+        simulation.add_joint(number, JointSpec("hinge", number, number + 1, anchor, (0.0, 0.0, 1.0), motor))
     return simulation
+
+
+@pytest.mark.parametrize("effort", [0.5, 5.0, 500.0])
+@pytest.mark.parametrize("kind", ["position", "velocity"])
+@pytest.mark.parametrize(
+    ("integrator", "error"), [("implicitfast", 1e-9), ("implicit", 1e-9), ("euler", 1e-9), ("rk4", 0.02)]
+)
+def test_what_a_motor_gives_is_the_energy_of_the_cube(integrator: str, error: float, kind: Mode, effort: float) -> None:
+    simulation = scene(0.0, integrator=integrator, sleep=False)
+    simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=True))
+    simulation.add_body(2, box((1.2, 5.0, 0.0)))
+    joint = JointSpec("hinge", 1, 2, (0.6, 5.0, 0.0), (0.0, 0.0, 1.0), JointParams(kind, max_effort=effort))
+    simulation.add_joint(1, joint)
+    work, size, powers = 0.0, 0.0, np.zeros((2, 1))
+    for tick in range(120):
+        if tick % 30 == 0:
+            target = 0.4 * (-1.0) ** (tick // 30)
+            params = JointParams(kind, target_position=target, target_velocity=target, max_effort=effort)
+            simulation.set_motor_targets((1,), [params], np.array([target]))
+        simulation.step(4)
+        simulation.powers((1,), powers)
+        work, size = work + powers[0, 0] / 60, size + powers[1, 0] / 60
+        assert work == pytest.approx(kinetic_energy(simulation, {2: 1.0}), abs=error * size)
+    assert size > 0.15
+
+
+@pytest.mark.parametrize("kind", ["position", "velocity"])
+@pytest.mark.parametrize("integrator", ["implicitfast", "implicit", "euler", "rk4"])
+def test_a_chain_of_strong_motors_does_as_told_whatever_the_integrator(integrator: str, kind: Mode) -> None:
+    motor = JointParams(kind, target_position=0.4, target_velocity=0.4, max_effort=500.0)
+    simulation = driven_chain(motor, integrator=integrator, sleep=False)
+    simulation.step(240)
+    told = simulation.joint_readings((0, 1, 2))[:, ("position", "velocity").index(kind)]
+    assert told == pytest.approx([0.4] * 3, abs=0.01)
 
 
 def test_powers_of_many_ticks_are_those_of_each_engine_step() -> None:

@@ -52,6 +52,10 @@ TASKS: dict[str, dict[str, Any]] = {
         },
     },
     "awake": {"objective": "displacement.x", "world": {"engine": {"sleep": False, "integrator": "euler"}}},
+    "water": {
+        "objective": "displacement.x + max.reach + mean.velocity.x",
+        "world": {"engine": {"sleep": False, "integrator": "rk4"}, "gravity": [0, 0, 0], "medium": {}},
+    },
 }
 
 
@@ -178,14 +182,17 @@ def test_ticks_in_one_call_are_kept_as_ticks_one_by_one() -> None:
         assert not np.array_equal(at_once[0], at_once[1])
 
 
-@pytest.mark.parametrize("room", [1, 5_000])
-def test_how_many_ticks_are_taken_in_one_call_changes_nothing(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("name", "room", "way"), [("run", 1, 0.1), ("run", 5_000, 0.1), ("water", 500_000, 1.0)])
+def test_how_many_ticks_are_taken_in_one_call_changes_nothing(
+    name: str, room: int, way: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     brains = [{"kind": "sine", "oscillators": [{"motor": "*", "frequency": 0.5 + 0.3 * i}]} for i in range(5)]
     waves = [snake(brain) for brain in brains]
     for document in waves:
         for joint in document["body"]["joints"]:
             joint["stiffness"] = 0.5
-    asked = task("run", duration=1.2, settle_limit=0.6, ends=[{"name": "off", "when": "displacement.horizontal > 0.1"}])
+    ends = [{"name": "off", "when": f"displacement.horizontal > {way}"}]
+    asked = task(name, duration=1.2, settle_limit=0.6, ends=ends)
     genomes = [Genome(document) for document in waves]
     expected = [in_worlds(genome, asked) for genome in genomes]
     assert len({each.score for each in expected}) == 5
