@@ -137,8 +137,12 @@ class Setting:
         return round(float(self.document["settle_limit"]) * self.tick_rate)
 
     def too_stiff(self, body: Body) -> list[str]:
-        """Returns the reasons why the engine cannot integrate the springs of a body, in words; none if it can."""
-        return too_stiff(body, 1.0 / (self.tick_rate * self.substeps))
+        """Returns the reasons why the engine cannot integrate the springs of a body, in words; none if it can.
+
+        Of the integrators that a world's `engine` may name `rk4` alone takes dampers as explicitly as springs.
+        """
+        staged = self._config["engine"].get("integrator") == "rk4"
+        return too_stiff(body, 1.0 / (self.tick_rate * self.substeps), dampers=staged)
 
     def draw(self, seed: int, what: str, bounds: Sequence[float]) -> float:
         """Draws a number, evenly: the same on every machine."""

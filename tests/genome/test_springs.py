@@ -13,7 +13,7 @@ import pytest
 from nmes.evaluation import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body
-from nmes.genome.springs import swing
+from nmes.genome.springs import slowing, swing
 from nmes.world import World
 
 Json = dict[str, Any]
@@ -90,6 +90,28 @@ def test_a_task_allows_a_radian_in_a_step_of_its_engine(world: Json) -> None:
         assert allowed or task.requirements.check(body) == reasons
 
 
+def test_dampers_at_one_cube_add_up() -> None:
+    cubes = [cube("a"), *(cube(name, x, mass=15) for x, name in enumerate("bc", 1))]
+    body = genome(cubes, [spring("a", "b", 0, damping=100), spring("a", "c", 0, damping=300)]).body
+    rate, joint = slowing(body)
+    assert rate == pytest.approx(2 * 400 / 1.5) and joint == "c"
+    assert slowing(genome(cubes[:2], [spring("a", "b", 100)]).body) == (0.0, "")
+
+
+def test_dampers_are_bounded_where_the_engine_integrates_them_explicitly() -> None:
+    staged = {"substeps": 8, "engine": {"integrator": "rk4", "sleep": False}}
+    free, strict = (
+        Task({**Task.load("walk").document, "name": "damped", "world": world, "limits": {}})
+        for world in ({"substeps": 8}, staged)
+    )
+    for part, allowed in ((0.999, True), (1.001, False)):
+        body = genome([cube("a"), cube("b")], [spring("a", "b", 0, damping=part * 2.5 * 480 * 1.5 / 2)]).body
+        assert free.check(body) == []
+        assert [why.split(",")[1] for why in strict.check(body)] == (
+            [] if allowed else [" at most 1200 are allowed: the engine's steps are of 0.00208 s"]
+        )
+
+
 # -- held against engines ---------------------------------------------------------------------------------------------
 
 
@@ -163,3 +185,21 @@ def test_beyond_two_radians_a_step_the_engine_makes_energy_of_nothing(backend: s
         pair = stiffened(cubes, joints, radians)
         most, given = greatest(pair.body, pair.document, 0.05, backend)
         assert (most < 2.0 * given) == sound
+
+
+def test_within_the_bound_dampers_slow_a_body_down_and_far_beyond_it_the_engine_goes_wrong() -> None:
+    """Of two cubes alike on a slide through both centres the bound is their very rate."""
+    config = {"gravity": [0, 0, 0], "mode": "lockstep", "engine": {"integrator": "rk4", "sleep": False}}
+    for times, sound in ((2.5, True), (2.9, False)):
+        pair = genome([cube("a"), cube("b")], [spring("a", "b", 0, damping=times / STEP * 1.5 / 2)])
+        world = World(config)
+        world.join()
+        spawn = {"type": "spawn_creature", "genome": pair.document, "name": "c", "position": [0, 50, 0]}
+        assert world.execute(1, spawn)["type"] != "error"
+        push = {"type": "apply_physics", "cube_name": "c.a", "impulse": [1.5, 0, 0]}
+        assert world.execute(1, push)["type"] == "physics_applied"
+        for _ in range(60):
+            world.tick()
+        (joint,) = world.entities.joints.values()
+        left = abs(world.simulation.joint_state(joint.number).velocity)
+        assert (left < 1e-6) == sound and (left > 2.0) == (not sound)
