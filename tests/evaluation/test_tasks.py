@@ -46,7 +46,7 @@ HASHES = {
     "reach": "67936d3dae572224",
     "rough": "59274cbbbf94f284",
     "stairs": "3fde555a19498184",
-    "swim": "563e161bc0769cb3",
+    "swim": "b5770ed665fd5a7f",
     "walk": "5bd2c6e7011f44eb",
     "chase": "e8a5d2adaac88149",
     "foraging": "8dac5a80703a515b",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from momentum_audit import momentum_of_nothing
-from nmes.evaluation import Task
+from nmes.evaluation import Task, evaluate
 from nmes.genome import Genome
 from nmes.world import World
 from shakers import lead_shaker
@@ -15,8 +15,6 @@ HONEST = [
     ("walker", "walk", 0.03),
     ("galloper", "walk", 0.03),
     ("jumper", "jump-high", 0.03),
-    ("eel", "swim", 0.15),
-    ("sidewinder", "swim", 0.15),
     ("seeker", "reach", 0.03),
 ]
 """Who, on what, and how much momentum of nothing each kilogram may have a second, m/s^2."""
@@ -32,10 +30,20 @@ def test_honest_creatures_have_little_momentum_that_nothing_gave(genome: str, na
 
 def test_what_shakes_on_coarse_steps_has_much() -> None:
     swim = Task.load("swim").document
-    limits, world = {**swim["limits"], "density": 20000}, {**swim["world"], "substeps": 4}
+    limits, world = {**swim["limits"], "density": 20000}, {**swim["world"], "substeps": 4, "engine": {}}
     task = Task({**swim, "name": "coarse", "limits": limits, "world": world})
     made = momentum_of_nothing(lead_shaker(), task, 1)
     assert np.linalg.norm(made[-1]) > 3.0 * len(made) / task.tick_rate
+
+
+@pytest.mark.parametrize("genome", ["eel", "sidewinder"])
+def test_without_water_a_swimmer_stays_where_it_is(genome: str) -> None:
+    swim = Task.load("swim").document
+    world = {name: value for name, value in swim["world"].items() if name != "medium"}
+    way = "max(abs(displacement.x), max(abs(displacement.y), abs(displacement.z)))"
+    still = Task({**swim, "name": "still", "world": world, "objective": way, "duration": 2})
+    (result,) = evaluate(Genome.load(genome), still, seeds=[1]).results
+    assert result.energy > 100.0 and result.score is not None and result.score < 0.01
 
 
 def test_a_push_that_the_engine_applies_is_no_momentum_of_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

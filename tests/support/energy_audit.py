@@ -99,8 +99,7 @@ class _Books:
         self.energies.append(float(self._mechanical(states).sum()) + stored)
         self.fastest.append(float(np.sqrt((states[:, 7:10] ** 2).sum(axis=1)).max()))
 
-    def _work(self, efforts: Array, before: Array, after: Array, seconds: float) -> None:
-        works = efforts * (before + after) * (seconds / 2.0)
+    def _work(self, works: Array) -> None:
         self._put_in += float(works.sum())
         self._moved += float(np.abs(works).sum())
 
@@ -111,22 +110,35 @@ class _Books:
 
         def mujoco_step(model: Any, data: Any, steps: int = 1) -> None:
             """Takes steps. MuJoCo tells the effort at a step's start, and lets it follow the velocity within the step
-            unless it is at its bound."""
-            dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
-            gears, slopes, bounds = model.actuator_gear[:, 0], model.actuator_biasprm[:, 2], model.actuator_forcerange
+            unless it is at its bound; by Runge and Kutta's method it is at each moment what the motor's law says."""
+            joints = model.actuator_trnid[:, 0]
+            dofs, places, gears = model.jnt_dofadr[joints], model.jnt_qposadr[joints], model.actuator_gear[:, 0]
+            gains, law, bounds = model.actuator_gainprm[:, 0], model.actuator_biasprm, model.actuator_forcerange
+
+            def effort(position: Array, velocity: Array) -> Array:
+                free = gains * data.ctrl + law[:, 0] + law[:, 1] * position + law[:, 2] * velocity
+                return np.asarray(np.clip(free, bounds[:, 0], bounds[:, 1]))
+
             for _ in range(steps):
-                before = gears * data.qvel[dofs]
+                before, began = gears * data.qvel[dofs], gears * data.qpos[places]
                 mj_step(model, data)
-                after, efforts = gears * data.qvel[dofs], data.actuator_force
-                free = np.abs(efforts) < bounds[:, 1]
-                self._work(efforts + free * slopes * (after - before), before, after, model.opt.timestep)
+                after, ended = gears * data.qvel[dofs], gears * data.qpos[places]
+                middle = (before + after) / 2.0
+                if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+                    powers = 4.0 * effort((began + ended) / 2.0, middle) * middle
+                    powers = (effort(began, before) * before + powers + effort(ended, after) * after) / 6.0
+                else:
+                    efforts = data.actuator_force
+                    free = np.abs(efforts) < bounds[:, 1]
+                    powers = (efforts + free * law[:, 2] * (after - before)) * middle
+                self._work(powers * model.opt.timestep)
 
         def chipmunk_step(space: pymunk.Space, seconds: float) -> None:
             """Takes a step. Chipmunk tells the impulse of the whole of it."""
             before = self._world.simulation.joint_readings(self._numbers)
             space_step(space, seconds)
             after = self._world.simulation.joint_readings(self._numbers)
-            self._work(after[:, 2], before[:, 1], after[:, 1], seconds)
+            self._work(after[:, 2] * (before[:, 1] + after[:, 1]) * (seconds / 2.0))
 
         with (
             patch.object(mujoco, "mj_step", mujoco_step),

@@ -2,7 +2,8 @@
 
 MuJoCo steps a tree in the coordinates of its joints. The coordinates of its root's place are those of the whole tree,
 so the forces along them are all that acts on it from outside: contacts, weight and the medium, as the integrator has
-applied them. What the tree's momentum changes beyond their impulses the step has made of nothing.
+applied them. What the tree's momentum changes beyond their impulses the step has made of nothing. That holds for
+integrators that compute forces once a step, so not for rk4.
 """
 
 from __future__ import annotations
