@@ -211,13 +211,13 @@ class Forces:
 
     Attributes:
         cubes: The names of the cubes that were pushed, in order.
-        answered: How many answers to them were sent on to the page.
         held: Whether no answers to pushes come through.
     """
 
     def __init__(self, page: Page) -> None:
         self.cubes: list[str] = []
-        self.answered, self.held = 0, False
+        self.held = False
+        self._page = page
         self._kept: list[tuple[WebSocketRoute, str | bytes]] = []
         self._routes: list[WebSocketRoute] = []
         page.route_web_socket(re.compile("/ws$"), self._carry)
@@ -233,12 +233,10 @@ class Forces:
             server.send(message)
 
         def answered(message: str | bytes) -> None:
-            push = '"physics_applied"' in str(message)
-            if self.held and push:
+            if self.held and '"physics_applied"' in str(message):
                 self._kept.append((route, message))
             else:
                 route.send(message)
-                self.answered += push
 
         route.on_message(passed)
         server.on_message(answered)
@@ -248,12 +246,11 @@ class Forces:
         self.held = False
         for route, message in self._kept:
             route.send(message)
-        self.answered += len(self._kept)
         self._kept = []
 
-    def has_answers(self) -> bool:
-        """Whether all answers that come through were sent on: asked anything then, the page has them."""
-        return self.held or self.answered == len(self.cubes)
+    def answered(self) -> bool:
+        """Whether the page has all answers to its pushes that come through."""
+        return self.held or int(self._page.locator(".pane").first.get_attribute("data-pulls") or 0) == len(self.cubes)
 
     def tell(self, message: dict[str, Any]) -> None:
         """Tells the page something, on the newest connection that it has to a world."""
@@ -316,6 +313,7 @@ def gripped(page: Page, lab: Lab, world: str) -> Iterator[nmes.Client]:
         page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
         page.mouse.down()
         page.mouse.move(box["x"] + box["width"] / 2 + 60, box["y"] + box["height"] / 2, steps=2)
+        page.locator("#command", has_text="apply_force").wait_for()  # a page pulls when it draws
         yield client
         page.mouse.up()
 
@@ -345,7 +343,7 @@ def test_what_is_held_with_the_mouse_is_pulled_once_a_tick_whichever_socket_tell
             begun = frame(page)
             for _ in range(3):
                 client.step()
-                until(page, lambda: forces.has_answers() and frame(page) - begun == len(forces.cubes) > 0)
+                until(page, lambda: forces.answered() and frame(page) - begun == len(forces.cubes) > 0)
                 forces.tell({"type": "tick", "t": 0, "frame": begun})  # which comes late
                 until(page, lambda: frame(page) == begun)
 
@@ -359,13 +357,14 @@ def test_what_is_held_with_the_mouse_is_not_pulled_again_before_the_last_pull_is
 
             def step(pulls: int) -> None:
                 now = client.step()["frame"]
-                until(page, lambda: len(forces.cubes) >= pulls and forces.has_answers() and frame(page) == now)
+                until(page, lambda: len(forces.cubes) >= pulls and forces.answered() and frame(page) == now)
                 assert len(forces.cubes) == pulls
 
             forces.held = True
             for _ in range(5):
                 step(1)
             forces.release()
+            until(page, forces.answered)
             step(2)
             step(3)
 

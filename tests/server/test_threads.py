@@ -282,7 +282,8 @@ def test_as_many_worlds_run_at_once_as_cores_and_all_have_their_turn(monkeypatch
 def test_worlds_of_light_ticks_that_are_behind_catch_up_in_the_loop(
     monkeypatch: pytest.MonkeyPatch, light: bool
 ) -> None:
-    monkeypatch.setattr(nmes.server.threads, "LIGHT", 1.0 if light else 0.0)  # s: whatever a tick takes here
+    spent, each = [0.0], 1e-4 if light else 1e-3  # s, of the processor's time: in all, and what a tick takes
+    monkeypatch.setattr(nmes.server.threads, "thread_time", lambda: spent[0])
     names = ("red", "green")
     with served(*({"name": name, "mode": "realtime", "rate": 20} for name in names)) as server:
         threads: dict[str, set[threading.Thread]] = {name: set() for name in names}
@@ -291,15 +292,19 @@ def test_worlds_of_light_ticks_that_are_behind_catch_up_in_the_loop(
 
             def tick(substeps: int, name: str = name, step: Callable[[int], None] = simulation.step) -> None:
                 threads[name].add(threading.current_thread())
+                spent[0] += each
                 step(substeps)
 
-            simulation.step = tick
+            def meter(worker: Any = hosted._worker, simulation: Any = simulation, tick: Any = tick) -> None:
+                worker._cost, simulation.step = each, tick
+
+            server.call(meter)
         frames = [hosted.status.frame for hosted in server.host.worlds.values()]
         server.call(lambda: threading.Event().wait(0.2))  # 240 ticks become due
         for hosted, frame in zip(server.host.worlds.values(), frames, strict=True):
             until(lambda hosted=hosted, frame=frame: server.call(lambda: hosted.status.frame) > frame + 240)  # type: ignore[misc]
         loop = server.call(threading.current_thread)
-        assert all((used == {loop}) is light for used in threads.values())
+    assert all((used == {loop}) is light for used in threads.values())
 
 
 def test_how_long_a_tick_takes_does_not_count_what_others_do_meanwhile() -> None:

@@ -43,6 +43,7 @@ class Pane {
   private pulled: { pull: Pull; at: number; sent?: Force; waiting: boolean; refused: boolean } | undefined;
   private now = -1; // the frame that the world has told last
   private frames = 0;
+  private pulls = 0; // that were answered
   private known = 0; // creatures of the scene before
 
   constructor(private readonly world: string, private readonly signal: AbortSignal, close: (() => void) | undefined) {
@@ -392,6 +393,7 @@ class Pane {
         notify(words(error), "bad");
       } finally {
         pulled.waiting = false;
+        this.element.dataset["pulls"] = String(++this.pulls);
       }
     }
   }
