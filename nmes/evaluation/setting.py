@@ -137,7 +137,7 @@ class Setting:
         return round(float(self.document["settle_limit"]) * self.tick_rate)
 
     def too_stiff(self, body: Body) -> list[str]:
-        """Returns the reasons why the engine cannot integrate the springs of a body, in words; none if it can.
+        """Returns the reasons why the engine cannot integrate the springs and dampers of a body; none if it can.
 
         Of the integrators that a world's `engine` may name `rk4` alone takes dampers as explicitly as springs.
         """

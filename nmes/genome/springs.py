@@ -27,7 +27,7 @@ _AXES: Final[dict[str, Vector]] = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0,
 
 
 def too_stiff(body: Body, step: float, *, dampers: bool = False) -> list[str]:
-    """Returns the reasons why an engine cannot integrate the springs of a body, in words; none if it can.
+    """Returns the reasons why an engine cannot integrate the springs and dampers of a body, in words; none if it can.
 
     Args:
         body: The whole one; of one that develops, each part counts as small as its rules may make it.

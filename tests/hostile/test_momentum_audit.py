@@ -36,14 +36,19 @@ def test_what_shakes_on_coarse_steps_has_much() -> None:
     assert np.linalg.norm(made[-1]) > 3.0 * len(made) / task.tick_rate
 
 
-@pytest.mark.parametrize("genome", ["eel", "sidewinder"])
-def test_without_water_a_swimmer_stays_where_it_is(genome: str) -> None:
+@pytest.mark.parametrize(("genome", "coarse"), [("eel", 1.0), ("sidewinder", 0.1)])
+def test_without_water_a_swimmer_stays_where_it_is(genome: str, coarse: float) -> None:
+    """With forces computed once a step it comes farther than `coarse`, m."""
     swim = Task.load("swim").document
     world = {name: value for name, value in swim["world"].items() if name != "medium"}
+    limits = {name: value for name, value in swim["limits"].items() if name not in ("speed", "spin")}
     way = "max(abs(displacement.x), max(abs(displacement.y), abs(displacement.z)))"
-    still = Task({**swim, "name": "still", "world": world, "objective": way, "duration": 2})
-    (result,) = evaluate(Genome.load(genome), still, seeds=[1]).results
-    assert result.energy > 100.0 and result.score is not None and result.score < 0.01
+    still = {**swim, "name": "still", "limits": limits, "objective": way, "duration": 2}
+    tasks = (Task({**still, "world": each}) for each in (world, {**world, "engine": {}}))
+    stays, drifts = (evaluate(Genome.load(genome), task, seeds=[1]).results[0] for task in tasks)
+    assert stays.score is not None and stays.score < 0.02
+    assert drifts.score is not None and drifts.score > coarse
+    assert stays.ticks == drifts.ticks == 120
 
 
 def test_a_push_that_the_engine_applies_is_no_momentum_of_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
