@@ -249,7 +249,10 @@ class Forces:
         self._kept = []
 
     def answered(self) -> bool:
-        """Whether the page has all answers to its pushes that come through."""
+        """Whether the page has all answers to its pushes that come through.
+
+        More may be sent while the page is asked: ask this last, when nothing else will be.
+        """
         return self.held or int(self._page.locator(".pane").first.get_attribute("data-pulls") or 0) == len(self.cubes)
 
     def tell(self, message: dict[str, Any]) -> None:
@@ -343,7 +346,7 @@ def test_what_is_held_with_the_mouse_is_pulled_once_a_tick_whichever_socket_tell
             begun = frame(page)
             for _ in range(3):
                 client.step()
-                until(page, lambda: forces.answered() and frame(page) - begun == len(forces.cubes) > 0)
+                until(page, lambda: frame(page) - begun == len(forces.cubes) > 0 and forces.answered())
                 forces.tell({"type": "tick", "t": 0, "frame": begun})  # which comes late
                 until(page, lambda: frame(page) == begun)
 
@@ -357,7 +360,7 @@ def test_what_is_held_with_the_mouse_is_not_pulled_again_before_the_last_pull_is
 
             def step(pulls: int) -> None:
                 now = client.step()["frame"]
-                until(page, lambda: len(forces.cubes) >= pulls and forces.answered() and frame(page) == now)
+                until(page, lambda: len(forces.cubes) >= pulls and frame(page) == now and forces.answered())
                 assert len(forces.cubes) == pulls
 
             forces.held = True
