@@ -170,10 +170,14 @@ def test_a_world_is_watched_as_it_moves(browser: Browser, lab: Lab) -> None:
         until(page, lambda: int(page.locator(".stage").get_attribute("data-drawn") or 0) > 5)
         page.get_by_role("button", name="Pause").click()
         page.get_by_role("button", name="Resume").wait_for()
-        page.wait_for_timeout(300)
-        stopped, before = frame(page), frames(page)
-        page.wait_for_timeout(500)
-        assert frames(page) == before, "frames come while nothing moves"
+
+        def still() -> bool:
+            before = frames(page)
+            page.wait_for_timeout(500)
+            return frames(page) == before
+
+        until(page, still)  # what was on its way comes, and nothing more while nothing moves
+        stopped = frame(page)
         page.get_by_label("How many ticks").fill("3")
         page.get_by_role("button", name="Step").click()
         page.get_by_text(re.compile(f"· {stopped + 3:,}$")).wait_for()
