@@ -52,8 +52,9 @@ class Probes:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answers one request, and hangs up."""
         self._callers[writer] = None
-        if len(self._callers) > MOST:
-            next(iter(self._callers)).transport.abort()
+        staying = [caller for caller in self._callers if not caller.transport.is_closing()]
+        if len(staying) > MOST:
+            staying[0].transport.abort()
         with contextlib.suppress(OSError, EOFError, TimeoutError, asyncio.LimitOverrunError):
             async with asyncio.timeout(TIMEOUT):
                 head = await reader.readuntil(b"\r\n\r\n")

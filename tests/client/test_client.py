@@ -586,7 +586,8 @@ async def test_a_late_reply_is_dropped_by_the_awaiting_client_too() -> None:
         end.say({"type": "pong", "id": end.hear()["id"], "n": 2})
 
     with scripted(script) as port:
-        async with AsyncClient(port=port, password="x", timeout=0.05) as client:
+        async with AsyncClient(port=port, password="x", timeout=PATIENCE) as client:
+            client.timeout = 0.05
             with pytest.raises(TimeoutError):
                 await client.ping()
             client.timeout = PATIENCE

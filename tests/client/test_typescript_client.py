@@ -136,6 +136,7 @@ def test_a_page_of_40_lines_drives_a_cube(built: Path, tmp_path: Path) -> None:
             view.keyboard.down("ArrowRight")
             with Client(port=told["port"], password=PASSWORD) as client:
                 until(lambda: client.get_cube_state(name)["position"][0] > 1.0)
+                client.pause()  # or it slides out of the picture
             view.keyboard.up("ArrowRight")
             right = "document.querySelector('canvas').getContext('2d').getImageData(331, 300, 200, 1).data"
             view.wait_for_function(f"[...{right}].includes(180)")  # the cube is drawn where it went to

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -144,10 +145,12 @@ def test_what_is_refused_is_told_again_and_holds_nothing_else_up(tmp_path: Path)
 
 
 def test_worlds_go_on_without_a_sidecar_and_one_that_comes_late_is_told(tmp_path: Path) -> None:
-    with sidecar() as gone:
-        port = gone.port
+    reserved = socket.socket()  # nobody else gets the port, and who connects is refused until one listens
+    reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    reserved.bind(("127.0.0.1", 0))
+    port = reserved.getsockname()[1]
     environment = {"NMES_PASSWORD": PASSWORD, "AGONES_SDK_HTTP_PORT": str(port)}
-    with process(*options(tmp_path), **environment) as server:
+    with reserved, process(*options(tmp_path), **environment) as server:
         with client(ready(server)["port"]) as inside:
             inside.step(5)
             with sidecar(port) as late:

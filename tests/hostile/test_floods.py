@@ -162,8 +162,12 @@ def test_connections_of_a_world_share_one_slice_of_each_turn_of_the_loop(
             monkeypatch.setattr(f"nmes.server.{module}.monotonic", lambda: now)
         monkeypatch.setattr(World, "handle", timed)
         server.call(turn)
-        for peer in peers:
-            peer.socket.sendall((b'{"type":"ping"}' + DELIMITER) * 60)
+
+        def say() -> None:
+            for peer in peers:
+                peer.socket.sendall((b'{"type":"ping"}' + DELIMITER) * 60)
+
+        server.call(say)  # in the thread of the host, so that none is read before all have sent
         for peer in peers:
             assert [peer.hear() for _ in range(60)] == [{"type": "pong"}] * 60
         server.call(monkeypatch.undo)

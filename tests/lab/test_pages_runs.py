@@ -21,7 +21,7 @@ from processes import NMES
 from recordings import busy, record
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Route
+    from playwright.sync_api import Browser, Page, Route
 
 
 @pytest.fixture(scope="module")
@@ -165,6 +165,13 @@ def test_a_learning_is_begun_again_on_a_task_of_elsewhere(browser: Browser, lab:
     assert {name for name in before if before[name] != after[name]} == {"seed"}
 
 
+def listed(page: Page, lab: Lab, recording: str) -> None:
+    """Waits until the lab lists a recording; it looks through its folder every two seconds at most."""
+    address = f"http://127.0.0.1:{lab.port}/api/recordings"
+    while not any(item["name"].startswith(recording) for item in page.request.get(address).json()["items"]):
+        page.wait_for_timeout(100)
+
+
 def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: Lab) -> None:
     recorded = ["--task", "walk", "--seeds", "1", "--record", str(lab.folder / "recordings"), "--quiet"]
     subprocess.run([NMES, "eval", "walker", *recorded], check=True)
@@ -213,6 +220,7 @@ def test_a_run_like_one_of_cloning_has_all_of_its_recordings_and_no_others(brows
             route.continue_()
 
     with opened(browser, lab, "evolve") as page:
+        listed(page, lab, "here")
         page.route("**/api/runs/copied", lambda route: route.fulfill(json={"kind": "learn", "settings": settings}))
         page.route("**/api/runs", begin)
         page.goto(lab.at("evolve?like=copied"))
@@ -229,6 +237,7 @@ def test_a_run_like_one_of_cloning_has_all_of_its_recordings_and_no_others(brows
 def test_a_run_that_fails_says_what_its_command_said(browser: Browser, lab: Lab) -> None:
     record(lab.folder / "recordings" / "no-episode.mcap", busy)
     with opened(browser, lab, "evolve") as page:
+        listed(page, lab, "no-episode")
         page.get_by_role("button", name="Learn", exact=True).click()
         page.get_by_label("Algorithm").select_option("clone")
         choice = page.get_by_label("Recordings to learn from")

@@ -708,7 +708,10 @@ def test_one_who_does_not_read_holds_up_nobody_and_is_cut() -> None:
             other.command(type="batch", commands=cubes)
             idle.say({"op": "subscribe", "topic": "/tf"})
             for _ in range(3000):
-                idle.say({"op": "call_service", "service": "/rosapi/topics"})
+                try:
+                    idle.say({"op": "call_service", "service": "/rosapi/topics"})
+                except ConnectionClosed:  # the socket is closed a little before it is no peer any more
+                    break
                 if server.call(lambda: len(server.host.worlds["main"]._peers)) == 1:
                     break
             other.say({"op": "subscribe", "topic": "/clock"})

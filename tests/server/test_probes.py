@@ -107,6 +107,16 @@ def test_neither_long_heads_nor_idle_callers_keep_a_probe_from_its_answer(monkey
             assert answer == b""
 
 
+def test_callers_that_come_at_once_end_as_many_of_the_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probes_module, "MOST", 4)
+    monkeypatch.setattr(probes_module, "TIMEOUT", 10 * PATIENCE)
+    with watched() as host, ExitStack() as open_:
+        # All wait to be accepted, as the host does nothing else meanwhile.
+        idle = host.server.call(lambda: [open_.enter_context(host.caller()) for _ in range(9)])
+        assert [caller.recv(1) for caller in idle[:5]] == [b""] * 5
+        assert host.ask("/health")[0] == 200
+
+
 def test_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(probes_module, "TIMEOUT", 0.1)
     with watched() as host, host.caller() as caller:

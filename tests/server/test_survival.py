@@ -564,6 +564,8 @@ def test_one_that_fails_each_time_keeps_a_host_from_none_of_the_others(
     work, seen = getattr(owner, method), dict[object, None]()
 
     def fail_for_the_first(each: object, *arguments: Any) -> Any:
+        if isinstance(each, Connection) and each._world is None:  # who is cut off must have come in
+            return work(each, *arguments)
         seen[each] = None
         if each is next(iter(seen)):
             raise ValueError("planted")

@@ -49,9 +49,18 @@ class Fleet:
         return [pid for _, pid in sorted(found)]
 
     def homes(self) -> dict[int, list[str]]:
-        """Returns which worlds each worker says that it has, by its own port; none that two of them have."""
-        ports = {world["worker_port"] for world in self.worlds().values() if "worker_port" in world}
-        homes = {port: [world["world"] for world in self.client(port=port).worlds()] for port in ports}
+        """Returns which worlds each worker says that it has, by its own port; none that two of them have.
+
+        They are asked one after the other, and a world may move meanwhile: until two rounds say the same.
+        """
+
+        def asked() -> dict[int, list[str]]:
+            ports = {world["worker_port"] for world in self.worlds().values() if "worker_port" in world}
+            return {port: [world["world"] for world in self.client(port=port).worlds()] for port in ports}
+
+        before, homes = asked(), asked()
+        while homes != before:
+            before, homes = homes, asked()
         named = [name for names in homes.values() for name in names]
         assert len(named) == len(set(named)), homes
         return homes
