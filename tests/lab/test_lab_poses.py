@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -269,8 +268,7 @@ def test_a_running_world_is_shown_at_the_pace_of_its_ticks_and_not_where_nothing
             scene, first = newest(watcher, 0, scene)
         frames = [first] + [newest(watcher, 0, scene)[1] for _ in range(30)]
         numbers = [frame.frame for frame in frames]
-        assert numbers == sorted(set(numbers))
-        assert min(later - earlier for earlier, later in pairwise(numbers)) <= 2  # on a slow machine some are left out
+        assert numbers == sorted(set(numbers)) and numbers[-1] - numbers[0] < 120
         heights = [frame.poses[0, 1] for frame in frames]
         assert heights == sorted(heights, reverse=True) and heights[0] > heights[-1]
         world.ask({"type": "freeze_cube", "cube_name": "high", "freeze": True})

@@ -26,7 +26,7 @@ from nmes.genome import Genome
 from opengl import OPENGL
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, WebSocketRoute
+    from playwright.sync_api import Browser, Page, WebSocket, WebSocketRoute
 
 MARKUP = "<b>bold</b>"
 PHONE = {"width": 360, "height": 740}
@@ -168,18 +168,26 @@ def test_no_page_is_wider_than_a_telephone(browser: Browser, lab: Lab) -> None:
 
 def test_a_world_is_watched_as_it_moves(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "worlds/main") as page:
+        told: list[int] = []  # the frames whose poses came, by the world's count
+
+        def hear(socket: WebSocket) -> None:
+            if "/ws/poses" in socket.url:
+                socket.on(
+                    "framereceived",
+                    lambda sent: told.append(int.from_bytes(sent[4:8], "little")) if isinstance(sent, bytes) else None,
+                )
+
+        page.on("websocket", hear)
+        page.reload()
         until(page, lambda: frames(page) > 20)
         until(page, lambda: int(page.locator(".stage").get_attribute("data-drawn") or 0) > 5)
         page.get_by_role("button", name="Pause").click()
         page.get_by_role("button", name="Resume").wait_for()
-
-        def still() -> bool:
-            before = frames(page)
-            page.wait_for_timeout(500)
-            return frames(page) == before
-
-        until(page, still)  # what was on its way comes, and nothing more while nothing moves
-        stopped = frame(page)
+        with nmes.Client(port=lab.host_port, password=PASSWORD, world="main") as client:
+            stopped = client.get_world_info()["frame"]
+        until(page, lambda: frame(page) == told[-1] == stopped)  # what was on its way has come
+        page.wait_for_timeout(500)
+        assert told[-1] == stopped and told == sorted(set(told)), "frames come while nothing moves"
         page.get_by_label("How many ticks").fill("3")
         page.get_by_role("button", name="Step").click()
         page.get_by_text(re.compile(f"· {stopped + 3:,}$")).wait_for()
