@@ -1,7 +1,8 @@
 """What ticks cost: a grid of nine cubes and twelve hinges through `World`, and replayed, beside bare `mj_step`.
 
 The grid hops without end. The bare loop steps the very model that the world compiled, from the very states that the
-world went through at the start of each hop, so that both solve the same contacts.
+world went through at the start of each hop, so that both solve the same contacts. In water nothing has weight, so that
+neither side has contacts: what is compared is what the water costs.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ SPACING = 1.2
 class Grid:
     """Nine jointed cubes in a world, pushed upwards at the start of every hop."""
 
-    def __init__(self, record_to: Path | None = None) -> None:
-        """Builds the grid and lets it settle."""
-        self.world = World({"mode": "lockstep"})
+    def __init__(self, record_to: Path | None = None, **config: Any) -> None:
+        """Builds the grid in a world of such a configuration, and lets it settle."""
+        self.world = World({"mode": "lockstep", **config})
         self.recorder = None
         if record_to is not None:
             self.recorder = self.world.journal = Recorder(record_to, self.world)
@@ -101,6 +102,11 @@ def bare_flight(model: mujoco.MjModel, data: mujoco.MjData, start: mujoco.MjData
 
 def figures() -> Iterator[Figure]:
     """Measures."""
+    yield from _dry()
+    yield from _wet()
+
+
+def _dry() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "replayed.mcap"
         subject = Grid(path)
@@ -131,3 +137,19 @@ def figures() -> Iterator[Figure]:
     yield Figure("grid: recorded tick / mj_step", ratio(samples, "recorded", "bare"), "x", details=times)
     name = "grid: speed of replay / mj_step"
     yield Figure(name, ratio(samples, "bare", "replay"), "x", at_least=0.5, details=times)
+
+
+def _wet() -> Iterator[Figure]:
+    wet = Grid(gravity=[0, 0, 0], medium={"level": 1e5})
+    starts = [wet.hop() for _ in range(HOPS)]
+    model, substeps = wet.model, wet.world.config["substeps"]
+    data = mujoco.MjData(model)
+
+    def bare() -> float:
+        return mean([bare_flight(model, data, start, substeps) for start in starts])
+
+    samples = in_turns({"bare": bare, "world": wet.hops}, ROUNDS)
+    times = {"microseconds a tick": summary(samples, 1e-6), "substeps": substeps}
+    yield Figure(
+        "grid in water with a level: tick of World / mj_step", ratio(samples, "world", "bare"), "x", details=times
+    )

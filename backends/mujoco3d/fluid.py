@@ -52,20 +52,23 @@ class Fluid:
         model.body_gravcomp[:] = 0.0
         numbers = [number for number in compiled.body_index if not compiled.bodies[number].frozen]
         bodies = [compiled.bodies[number] for number in numbers]
-        self._index = np.array([compiled.body_index[number] for number in numbers], np.intp)
-        self._roots = model.body_rootid[self._index]
+        index = np.array([compiled.body_index[number] for number in numbers], np.intp)
+        self._any, self._roots = len(index) > 0, model.body_rootid[index]
+        # Most often they follow each other in the model: slices of its arrays are to be had for less.
+        follow = self._any and np.array_equal(index, np.arange(index[0], index[0] + len(index)))
+        self._index = slice(index[0], index[-1] + 1) if follow else index
         self._immersion = Immersion(
             medium,
             self._scene.gravity,
             self._scene.timestep,
             [body.shape for body in bodies],
             [body.size for body in bodies],
-            model.body_mass[self._index],
+            model.body_mass[index],
         )
 
     def act(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Adds to the forces on bodies for the engine step that follows."""
-        if not len(self._index):
+        if not self._any:
             return
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

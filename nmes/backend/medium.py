@@ -16,11 +16,9 @@ cost more than numbers: axes and corners are done at once, and added up one by o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from functools import reduce
+from collections.abc import Sequence
 from itertools import product
 from math import pi
-from operator import add
 
 import numpy as np
 
@@ -31,10 +29,15 @@ __all__ = ["Immersion"]
 
 _ROUNDING = 0.02  # part of a body's mean edge by which what the level cuts is rounded
 _CORNERS = np.array([*product((0.5, -0.5), repeat=3)]).T.reshape(3, 8, 1, 1)  # of a box: parts of its edges
+_LEVERS = _CORNERS.swapaxes(0, 1).copy()  # the same, corner by corner
 _SIGNS = 8.0 * _CORNERS[0] * _CORNERS[1] * _CORNERS[2]
-# Of quaternions' products in their matrices: yy + zz, xx + zz, xx + yy on the diagonal; xy, xz, yz beside it.
-_TWICE = np.array([[1, 0, 0], [2, 2, 1]])
-_FIRST, _SECOND = np.array([0, 0, 1]), np.array([1, 2, 2])
+# Entries of a matrix, row by row, are constant + factor * (first + sign * second), the two of them products of a
+# quaternion's components i and j, at 4 i + j: 1 - 2 (yy + zz) on the diagonal, 2 (xy - wz) beside it. To add -0.0
+# changes no number, nor the sign of a zero.
+_FIRST = np.array([5, 1, 2, 1, 0, 6, 2, 6, 0])
+_SECOND = np.array([10, 14, 13, 14, 10, 12, 13, 12, 5])
+_SIGN = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])[:, None]
+_FACTOR, _CONSTANT = np.where(np.eye(3, dtype=bool).reshape(9, 1), [[[-2.0]], [[1.0]]], [[[2.0]], [[-0.0]]])
 
 
 class Immersion:
@@ -58,9 +61,11 @@ class Immersion:
         sizes: Sequence[Vector],
         masses: Array,
     ) -> None:
-        self._medium, self._weight = medium, np.array(weight)
+        self._level, self._weight = medium.level, np.array(weight)[:, None, None]
         own = np.array([moments(shape, size) for shape, size in zip(shapes, sizes, strict=True)]).reshape(-1, 3)
         self._volumes = np.array([volume(shape, size) for shape, size in zip(shapes, sizes, strict=True)])
+        self._displaced = -medium.density * self._volumes
+        self._strength = -medium.density * weight[1] * self._volumes
         a, b, c = own.T
         box = np.sqrt(6.0 * np.stack([b + c - a, a + c - b, a + b - c]))  # its edges, shape (3, n)
         # Of axes, moments of time and bodies, shape (3, 1, n); those of drag for forces and for torques, (2, 3, 1, n).
@@ -77,6 +82,7 @@ class Immersion:
         self._radii = np.array([size[0] / 2.0 for size in sizes])
         lies = [axis(size) for size in sizes]
         self._turned = np.array([shape in ("capsule", "cylinder") for shape in shapes], bool)
+        self._any_ball, self._any_turned = bool(self._balls.any()), bool(self._turned.any())
         self._lies = np.array([[float(i == each) for each in lies] for i in range(3)])[:, None]
         across = np.array([box[each - 1, i] for i, each in enumerate(lies)])
         along = np.array([box[each, i] for i, each in enumerate(lies)])
@@ -93,71 +99,79 @@ class Immersion:
         columns = np.ascontiguousarray(states.T)[:, None]
         turn = _matrix(columns[3:7])
         part, torque = self._lifted(columns, turn)
-        lift = -self._medium.density * self._volumes * part
-        out = np.empty((2, 3, *lift.shape))
-        out[0] = lift * self._weight[:, None, None]
-        out[1] = torque
-        self._slow(out, columns[7:13].reshape(out.shape), turn, part)
-        return out.reshape(6, len(states))
+        # What adds up: buoyancy, then drag along each own axis.
+        terms = np.empty((4, 2, 3, 1, len(states)))
+        terms[0, 0] = self._displaced * part * self._weight
+        terms[0, 1] = torque
+        terms[1:] = self._drag(columns[7:13].reshape(terms.shape[1:]), turn, part)
+        return _sum(terms).reshape(6, len(states))
 
     def potentials(self, states: Array) -> Array:
         """Returns the energy of what the bodies displace, J, array (k, n), in states of shape (13, k, n)."""
-        density, level = self._medium.density, self._medium.level
-        if level is None:
-            heights = _sum(states[i] * self._weight[i] for i in range(3))
-            return np.asarray(density * self._volumes * heights)
-        depth = level - states[1]
-        energy = _moments_below(depth, self._extents(_matrix(states[3:7])))[1]
-        balls = self._balls
-        if balls.any():
-            energy = np.where(balls, _ball_energy(depth, self._radii), energy)
-        return np.asarray(-density * self._weight[1] * self._volumes * energy)
+        if self._level is None:
+            return np.asarray(-self._displaced * _sum(states[:3] * self._weight))
+        depth = self._level - states[1]
+        energy = _moments_below(depth, self._extents(_matrix(states[3:7])[1]))[1]
+        if self._any_ball:
+            energy = np.where(self._balls, _ball_energy(depth, self._radii), energy)
+        return np.asarray(self._strength * energy)
 
-    def _slow(self, out: Array, velocity: Array, turn: Array, part: Array) -> None:
-        """Adds drag against velocities: of each own axis what would stop the body alone within a step at the most.
+    def _drag(self, velocity: Array, turn: Array, part: Array) -> Array:
+        """Returns drag along each own axis: what would stop the body alone within a step at the most.
 
         Args:
-            out: Forces and torques, array (2, 3, 1, n).
-            velocity: Of the bodies and of their turning, likewise.
+            velocity: Of the bodies and of their turning, array (2, 3, 1, n).
             turn: Their matrices.
             part: Of each that is submerged.
+
+        Returns:
+            Forces and torques, array (3, 2, 3, 1, n).
         """
-        own = _sum(turn[j] * velocity[:, j, None] for j in range(3))
+        own = _sum((turn * velocity[:, :, None]).swapaxes(0, 1))
         rate = np.minimum(part * (self._quadratic * np.abs(own) + self._viscous), self._most)
         force = -rate * own
-        for i in range(3):
-            out += turn[:, i] * force[:, i, None]
+        return np.asarray(turn.swapaxes(0, 1)[:, None] * force.swapaxes(0, 1)[:, :, None])
 
     def _lifted(self, columns: Array, turn: Array) -> tuple[Array, Array]:
         """Returns the submerged part of each volume, and the torques of buoyancy, array (3, 1, n)."""
-        level, torque = self._medium.level, np.zeros_like(columns[:3])
-        if level is None:
+        torque = np.zeros_like(columns[:3])
+        if self._level is None:
             return np.ones_like(columns[0]), torque
-        depth = level - columns[1]
-        extents = self._extents(turn)
-        part, _, slopes = _moments_below(depth, extents)
-        if self._balls.any():
-            part = np.where(self._balls, _ball_part(depth, self._radii), part)
-        # Of the potential E: dE/d(extent i) times how that changes as the body turns about x and z.
-        strength = -self._medium.density * self._weight[1] * self._volumes
+        depth = self._level - columns[1]
         rise = turn[1]  # how far each own axis rises
-        push = np.where(self._balls, 0.0, strength * slopes / extents)
+        extents = self._extents(rise)
+        part, _, slopes = _moments_below(depth, extents)
+        # Of the potential E: dE/d(extent i) times how that changes as the body turns about x and z.
+        push = self._strength * slopes / extents
+        if self._any_ball:
+            part = np.where(self._balls, _ball_part(depth, self._radii), part)
+            push = np.where(self._balls, 0.0, push)
         # An extent squared is edge^2 rise^2 and more (a box), or along^2 n^2 + ..., across^2 (1 - n^2) / 2 (turned).
-        along = _sum(self._lies * rise)
-        axial = (push[0] * self._along_squared - (push[1] + push[2]) * self._across_squared / 2.0) * along
-        gradient = np.where(self._turned, axial * self._lies, push * self._box * self._box * rise)
+        gradient = push * self._box * self._box * rise
+        if self._any_turned:
+            along = _sum(self._lies * rise)
+            axial = (push[0] * self._along_squared - (push[1] + push[2]) * self._across_squared / 2.0) * along
+            gradient = np.where(self._turned, axial * self._lies, gradient)
         # d(rise i)/d(turn about x) = -R[2][i], about z = +R[0][i]
-        torque[0], torque[2] = _sum(gradient * turn[2]), -_sum(gradient * turn[0])
+        about_x, about_z = _sum((gradient * turn[::2]).swapaxes(0, 1))[::-1]
+        torque[0], torque[2] = about_x, -about_z
         return part, torque
 
-    def _extents(self, turn: Array) -> Array:
-        """Returns how far the three edges of each body's box reach in height, rounded, m."""
-        along, box = _sum(self._lies * turn[1]), self._box * turn[1]
-        square = along * along
-        turned = np.empty_like(box)
-        turned[0] = self._along_squared * square
-        turned[1:] = self._across_squared * np.maximum(1.0 - square, 0.0) / 2.0
-        return np.asarray(np.sqrt(np.where(self._turned, turned, box * box) + self._rounding))
+    def _extents(self, rise: Array) -> Array:
+        """Returns how far the three edges of each body's box reach in height, rounded, m.
+
+        Args:
+            rise: How far their own axes rise, array (3, k, n).
+        """
+        reach = self._box * rise
+        square = reach * reach
+        if self._any_turned:
+            along = _sum(self._lies * rise)
+            turned, part = np.empty_like(square), along * along
+            turned[0] = self._along_squared * part
+            turned[1:] = self._across_squared * np.maximum(1.0 - part, 0.0) / 2.0
+            square = np.where(self._turned, turned, square)
+        return np.asarray(np.sqrt(square + self._rounding))
 
 
 def _moments_below(depth: Array, extents: Array) -> tuple[Array, Array, Array]:
@@ -173,12 +187,19 @@ def _moments_below(depth: Array, extents: Array) -> tuple[Array, Array, Array]:
     """
     a, b, c = extents
     scale = 1.0 / (a * b * c)
-    corners = np.maximum(depth + _CORNERS[0] * a + _CORNERS[1] * b + _CORNERS[2] * c, 0.0)
-    terms = np.empty((5, *corners.shape))  # of the part, the energy and the slopes
-    terms[0] = cubes = _SIGNS * corners * corners * corners * scale / 6.0
-    terms[1] = cubes * corners / 4.0
-    terms[2:] = _CORNERS * cubes
-    sums = reduce(add, terms.swapaxes(0, 1), 0.0 * depth)
+    corners = depth + _CORNERS[0] * a
+    corners += _CORNERS[1] * b
+    corners += _CORNERS[2] * c
+    np.maximum(corners, 0.0, out=corners)
+    terms = np.empty((8, 5, *depth.shape))  # of each corner to the part, the energy and the slopes
+    cubes = np.multiply(_SIGNS, corners, out=terms[:, 0])
+    cubes *= corners
+    cubes *= corners
+    cubes *= scale
+    cubes /= 6.0
+    terms[:, 1] = cubes * corners / 4.0
+    terms[:, 2:] = _LEVERS * cubes[:, None]
+    sums = _sum(terms)
     part, energy, slopes = sums[0], sums[1], sums[2:]
     # Deep enough, it is all below; sums of large numbers would say so less exactly.
     whole = depth >= (a + b + c) / 2.0
@@ -202,17 +223,17 @@ def _ball_energy(depth: Array, radii: Array) -> Array:
 
 def _matrix(q: Array) -> Array:
     """Returns the matrices of quaternions, shape (4, ...): rows are the world's axes, columns the body's own."""
-    products = q[:, None] * q
-    squares = products[_TWICE, _TWICE]
-    same, other = products[_FIRST, _SECOND], products[3, 2::-1]  # xy, xz, yz; wz, wy, wx
-    less, more = 2.0 * (same - other), 2.0 * (same + other)
-    turn = np.empty((3, 3, *q.shape[1:]))
-    turn[0, 0], turn[1, 1], turn[2, 2] = 1.0 - 2.0 * (squares[0] + squares[1])
-    turn[0, 1], turn[2, 0], turn[1, 2] = less
-    turn[1, 0], turn[0, 2], turn[2, 1] = more
-    return turn
+    products = (q[:, None] * q).reshape(16, -1)
+    turn = products[_SECOND] * _SIGN
+    turn += products[_FIRST]
+    turn *= _FACTOR
+    turn += _CONSTANT
+    return np.asarray(turn.reshape(3, 3, *q.shape[1:]))
 
 
-def _sum(terms: Iterable[Array]) -> Array:
-    """Adds arrays up from the first to the last."""
-    return reduce(add, terms)
+def _sum(terms: Array) -> Array:
+    """Adds arrays up along their first axis, from the first to the last."""
+    total = terms[0] + terms[1]
+    for term in terms[2:]:
+        total += term
+    return np.asarray(total)
