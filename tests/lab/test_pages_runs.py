@@ -21,7 +21,7 @@ from processes import NMES
 from recordings import busy, record
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, Route
+    from playwright.sync_api import Browser, Route
 
 
 @pytest.fixture(scope="module")
@@ -165,11 +165,19 @@ def test_a_learning_is_begun_again_on_a_task_of_elsewhere(browser: Browser, lab:
     assert {name for name in before if before[name] != after[name]} == {"seed"}
 
 
-def listed(page: Page, lab: Lab, recording: str) -> None:
-    """Waits until the lab lists a recording; it looks through its folder every two seconds at most."""
-    address = f"http://127.0.0.1:{lab.port}/api/recordings"
-    while not any(item["name"].startswith(recording) for item in page.request.get(address).json()["items"]):
-        page.wait_for_timeout(100)
+def test_recordings_made_meanwhile_are_offered_above_the_others(browser: Browser, lab: Lab) -> None:
+    record(lab.folder / "recordings" / "offered-first.mcap", busy)
+    with opened(browser, lab, "evolve") as page:
+        page.get_by_role("button", name="Learn", exact=True).click()
+        page.get_by_label("Algorithm").select_option("clone")
+        choice = page.get_by_label("Recordings to learn from")
+        choice.locator("option", has_text="offered-first").wait_for(state="attached")
+        choice.select_option("offered-first")
+        record(lab.folder / "recordings" / "offered-second.mcap", busy)
+        choice.locator("option", has_text="offered-second").wait_for(state="attached")
+        names = [name for name in choice.locator("option").all_inner_texts() if name.startswith("offered-")]
+        assert names == ["offered-second", "offered-first"]
+        assert choice.locator("option:checked").all_inner_texts() == ["offered-first"]
 
 
 def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: Lab) -> None:
@@ -220,7 +228,6 @@ def test_a_run_like_one_of_cloning_has_all_of_its_recordings_and_no_others(brows
             route.continue_()
 
     with opened(browser, lab, "evolve") as page:
-        listed(page, lab, "here")
         page.route("**/api/runs/copied", lambda route: route.fulfill(json={"kind": "learn", "settings": settings}))
         page.route("**/api/runs", begin)
         page.goto(lab.at("evolve?like=copied"))
@@ -237,7 +244,6 @@ def test_a_run_like_one_of_cloning_has_all_of_its_recordings_and_no_others(brows
 def test_a_run_that_fails_says_what_its_command_said(browser: Browser, lab: Lab) -> None:
     record(lab.folder / "recordings" / "no-episode.mcap", busy)
     with opened(browser, lab, "evolve") as page:
-        listed(page, lab, "no-episode")
         page.get_by_role("button", name="Learn", exact=True).click()
         page.get_by_label("Algorithm").select_option("clone")
         choice = page.get_by_label("Recordings to learn from")

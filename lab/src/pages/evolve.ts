@@ -28,6 +28,7 @@ const MEASURES = [{ expression: "legs", low: 0, high: 10, cells: 10 }, { express
 const OBJECTIVES = ["distance", "-energy"];
 const [PUPIL, LESSON] = ["eel", "swim"]; // on which learning shows soonest
 const RANDOM = "";
+const LOOK = 2000; // ms between two looks for recordings to learn from, which is how often the lab looks itself
 const SAME = "="; // which no name is: what the run has that another is begun like
 
 export async function open(view: View): Promise<void> {
@@ -48,7 +49,7 @@ export async function open(view: View): Promise<void> {
   }));
   await Promise.all([
     load(form, "what there is to choose", async () => Promise.all([genomes(view.signal), tasks(view.signal), state(), newest(), like()]), ([known, all, { folder = "lab" }, existing, found]) =>
-      new Form(known, all, folder, existing.map((run) => run.name), view.query, found).element, view.signal),
+      new Form(known, all, folder, existing.map((run) => run.name), view, found).element, view.signal),
     load(list, "runs", newest, (items) => listed(items), view.signal),
   ]);
 }
@@ -108,11 +109,13 @@ class Form {
   readonly #options = h("textarea", { rows: 4, spellcheck: "false", class: "mono" });
   readonly #creature: readonly HTMLElement[]; // who begins, and on what: recordings say it themselves
   #kind: "evolve" | "learn" = "evolve";
-  #offered = false; // whether recordings were asked for
+  #cloning = false; // whether recordings to learn from are shown
+  #asking = false; // for recordings
   #fitted: string | undefined; // the algorithm whose options are shown
   #named = false; // by a person: then it stays
 
-  constructor(known: readonly Named[], private readonly all: readonly TaskItem[], private readonly folder: string, private readonly existing: readonly string[], query: URLSearchParams, private readonly like?: Like) {
+  constructor(known: readonly Named[], private readonly all: readonly TaskItem[], private readonly folder: string, private readonly existing: readonly string[], private readonly view: View, private readonly like?: Like) {
+    const { query, signal } = view;
     const asked = query.get("genome") ?? RANDOM;
     const options = known.map(({ name, ships }) => [name, ships ? `${name} (ships)` : name] as const);
     const same = like !== undefined && (like.kind === "learn" || (like.settings.starts ?? []).length > 0);
@@ -153,6 +156,10 @@ class Form {
       if (event.target === this.#name) this.#named = true;
       this.#update();
     });
+    const timer = setInterval(() => {
+      if (this.#cloning && !document.hidden) void this.#offer();
+    }, LOOK);
+    signal.addEventListener("abort", () => clearInterval(timer));
     this.#update();
   }
 
@@ -169,7 +176,8 @@ class Form {
     for (const each of this.#creature) each.hidden = cloning;
     this.#lessons.hidden = this.#recordings.disabled = !cloning;
     this.#picture.hidden = cloning;
-    if (cloning) void this.#offer();
+    if (cloning && !this.#cloning) void this.#offer();
+    this.#cloning = cloning;
     if (this.like !== undefined && chosen !== this.#fitted) this.#options.value = JSON.stringify(chosen === this.like.settings.algorithm ? this.like.settings.options ?? {} : {}, null, 1);
     this.#fitted = chosen;
     this.#amount.textContent = learning ? "Steps to learn from" : "Budget, in candidates";
@@ -180,18 +188,23 @@ class Form {
     void this.#draw();
   }
 
-  /** Offers recordings to learn from, once they are asked for. */
+  /** Offers recordings to learn from: those that came since the last look, above the others. */
   async #offer(): Promise<void> {
-    if (this.#offered) return;
-    this.#offered = true;
+    if (this.#asking) return;
+    this.#asking = true;
     try {
-      const { items } = await get<{ items: readonly { name: string }[] }>("/recordings"); // the newest alone
+      const { items } = await get<{ items: readonly { name: string }[] }>("/recordings", {}, this.view.signal); // the newest alone
       const before = this.like?.settings.recordings ?? [];
-      const paths = new Set([...before, ...items.map(({ name }) => this.#path(name))]);
-      fill(this.#recordings, ...[...paths].map((path) => h("option", { value: path, selected: before.includes(path) }, this.#called(path))));
-      this.#update();
+      const offered = new Set([...this.#recordings.options].map((option) => option.value));
+      const paths = new Set([...before, ...items.map(({ name }) => this.#path(name))].filter((path) => !offered.has(path)));
+      if (paths.size > 0) {
+        this.#recordings.prepend(...[...paths].map((path) => h("option", { value: path, selected: before.includes(path) }, this.#called(path))));
+        this.#update();
+      }
     } catch {
-      this.#offered = false; // the next change of the form asks again
+      // The next look asks again.
+    } finally {
+      this.#asking = false;
     }
   }
 
