@@ -420,6 +420,6 @@ def _state(hosted: HostedWorld) -> dict[str, Any]:
         "frame": status.frame,
         "clients": hosted.clients,
         "fault": None if status.fault is None else status.fault.code,
-        "asleep": hosted.world.asleep,
+        "asleep": hosted.hibernation.resting,  # until its recording is whole, it is not
         "ratio": None if status.lag is None else round(status.lag.ratio, 3),
     }
