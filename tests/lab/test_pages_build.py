@@ -242,6 +242,7 @@ def test_the_first_lesson_does_what_it_says(browser: Browser, lab: Lab) -> None:
 def test_a_lesson_waits_for_a_world_that_is_behind_the_clock(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "lessons/worlds") as page:
         page.get_by_role("button", name="Drop a cube").click()
+        page.locator(".watched").wait_for()  # its world is there
         with nmes.Client(port=lab.host_port, password=PASSWORD, world="lesson-worlds") as client:
             while "cube" not in [cube["cube_name"] for cube in client.get_world_state()["cubes"]]:
                 page.wait_for_timeout(10)

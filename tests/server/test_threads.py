@@ -169,7 +169,7 @@ def test_a_client_that_leaves_during_a_long_step_has_left_after_it(tmp_path: Pat
         with server.peer(None) as never_in:  # and who comes and goes meanwhile is obeyed all the same
             never_in.send(PASSWORD.encode() + nmes.protocol.DELIMITER)
             never_in.say({"type": "spawn_cube", "cube_name": "c"})
-            until(lambda: server.call(lambda: len(server.hosted._waiting)) >= 1)
+            until(lambda: server.call(lambda: len(server.hosted._waiting)) == 2)
         gate.open()
         until(lambda: watcher.ask({"type": "get_world_info"})["counts"]["clients"] == 1)
         assert watcher.ask({"type": "get_cube_list"})["cubes"] == ["b", "c"]
