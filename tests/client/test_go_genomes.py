@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import asdict
 from functools import cache
 from itertools import count, islice
 from random import Random
@@ -54,6 +56,10 @@ _PLACES = [  # where a creature may live: what there is, for Python and for Go
         },
     ),
     (Requirements(planar=True, development=True), {"planar": True, "development": True}),
+    (
+        Requirements(Limits(neighbours=30, effort=3, friction=(0.4, 1.1)), development=True),
+        {"limits": {"neighbours": 30, "effort": 3, "friction": [0.4, 1.1]}, "development": True},
+    ),
 ]
 
 
@@ -149,6 +155,26 @@ def _mutant(parent: Genome, seed: int, kind: str, place: int) -> tuple[Genome | 
     return mutant.genome, {"hash": mutant.genome.hash, "kind": mutant.kind}
 
 
+def _developing() -> Iterator[Genome]:
+    """Yields genomes that ship, and others that grow, shed and resize parts by rules that are drawn."""
+    draw = Random(25)
+    for genome in _parents():
+        yield genome
+        parts = [cube.id for cube in genome.body.cubes[1:]]
+        for _ in range(3):
+            rules: list[Json] = [
+                {
+                    "when": "age > 1.0",
+                    "resize": [{"part": part, "scale": round(draw.uniform(0.3, 2.5), 3)} for part in some],
+                    "shed": draw.sample(parts, draw.randint(0, len(parts) // 2)),
+                }
+                for some in (draw.sample(parts, draw.randint(1, len(parts))) for _ in range(2) if parts)
+            ]
+            document = {**genome.document, "later": draw.sample(parts, len(parts) // 3), "development": rules}
+            if not Genome.problems(document):
+                yield Genome(document)
+
+
 # -- what both make of it ---------------------------------------------------------------------------------------------
 
 
@@ -219,3 +245,18 @@ def test_the_same_seed_makes_the_same_mutant() -> None:
     assert {question["number"] for question, _, _ in changes} == set(range(len(_PLACES)))
     brains = Counter(question["mutate"].get("brain", {}).get("kind") for question, _, _ in changes)
     assert {"sine", "cpg", "mlp", "ctrnn", "graph"} <= set(brains)
+
+
+def test_a_body_is_held_to_limits_in_the_same_words() -> None:
+    limits = Limits(neighbours=3, effort=0.7, density=900, size=1.2, mass=8, restitution=0.2, friction=(0.6, 0.9))
+    needs = {"limits": {name: value for name, value in asdict(limits).items() if value is not None}}
+    genomes = list(_developing())
+    questions = [{"check": json.dumps(genome.document), "needs": needs} for genome in genomes]
+    ran = go("run", "./genome/lines", told="".join(json.dumps(question) + "\n" for question in questions))
+    assert ran.returncode == 0, ran.stderr
+    told: Counter[str] = Counter()
+    for genome, line in zip(genomes, ran.stdout.splitlines(), strict=True):
+        reasons = limits.check(genome.body)
+        assert json.loads(line).get("reasons", []) == reasons, genome.document
+        told.update(re.sub(r"'[^']*'|[0-9.e+-]+", "_", reason) for reason in reasons)
+    assert len(told) == 9 and min(told.values()) > 5, told  # with what two of them are of bodies that develop

@@ -29,7 +29,7 @@ type Body struct {
 	Development []Rule
 }
 
-// Cube is a box, or what fills it: m, kg. A nil Restitution is the world's.
+// Cube is a box, or what fills it: m, kg. A nil Friction is the ground's, a nil Restitution the world's.
 type Cube struct {
 	ID          string
 	Shape       string
@@ -37,6 +37,7 @@ type Cube struct {
 	Mass        float64
 	Position    Vector
 	Quaternion  Quaternion
+	Friction    *float64
 	Restitution *float64
 }
 
@@ -98,6 +99,13 @@ func (b *Body) Bounds() (Vector, Vector) {
 		}
 	}
 	return low, high
+}
+
+// size returns the longest edge of the box around it, m.
+func (b *Body) size() float64 {
+	low, high := b.Bounds()
+	edges := minus(high, low)
+	return max(edges[0], edges[1], edges[2])
 }
 
 // planar tells whether it lies in the plane z = 0 and moves in it.
@@ -508,9 +516,11 @@ func readCube(entry object) Cube {
 		Position:   vectorOf(list(entry, "position")),
 		Quaternion: quaternionOf(entry["rotation"]),
 	}
-	if has(entry, "restitution") {
-		bounce := number(entry, "restitution", 0)
-		cube.Restitution = &bounce
+	for name, own := range map[string]**float64{"friction": &cube.Friction, "restitution": &cube.Restitution} {
+		if has(entry, name) {
+			value := number(entry, name, 0)
+			*own = &value
+		}
 	}
 	return cube
 }

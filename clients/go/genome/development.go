@@ -2,6 +2,7 @@ package genome
 
 import (
 	"fmt"
+	"maps"
 	"slices"
 )
 
@@ -11,6 +12,14 @@ type Rule struct {
 	Shed  []string
 	Adopt []string
 	Grow  []string
+	// Which parts come to be of another size.
+	Resize []Resize
+}
+
+// Resize is a part that comes to be of another size: how many times as long its edges are then as at birth.
+type Resize struct {
+	Part  string
+	Scale float64
 }
 
 var ruleLists = []string{"shed", "adopt", "grow"}
@@ -39,6 +48,10 @@ func readRules(entries []object, body *Body) ([]Problem, []Rule) {
 				Adopt: texts(list(entry, "adopt")),
 				Grow:  texts(list(entry, "grow")),
 			})
+			for _, each := range objects(entry, "resize") {
+				rule := &rules[len(rules)-1]
+				rule.Resize = append(rule.Resize, Resize{text(each, "part", ""), number(each, "scale", 1)})
+			}
 		}
 	}
 	return problems, rules
@@ -98,6 +111,110 @@ func hangingOf(body *Body) hanging {
 				fresh = append(fresh, other)
 			}
 		}
+	}
+	return found
+}
+
+// scales returns how small and how large its rules may make the parts of a body that they resize, by the ids of these.
+func scales(body *Body) (smallest, largest map[string]float64) {
+	smallest, largest = map[string]float64{}, map[string]float64{}
+	for _, rule := range body.Development {
+		for _, each := range rule.Resize {
+			if _, there := smallest[each.Part]; !there {
+				smallest[each.Part], largest[each.Part] = 1, 1
+			}
+			smallest[each.Part] = min(smallest[each.Part], each.Scale)
+			largest[each.Part] = max(largest[each.Part], each.Scale)
+		}
+	}
+	return smallest, largest
+}
+
+// resized returns a body, without loops, some of whose parts are of another size, of the same density: as many times as
+// long as these say, by the ids of cubes. A part grows away from the joint by which it hangs; what hangs on it is moved
+// along, and stays as large as it is.
+func resized(body *Body, scales map[string]float64) *Body {
+	changed := false
+	for _, scale := range scales {
+		changed = changed || scale != 1
+	}
+	if !changed {
+		return body
+	}
+	other := *body
+	other.Cubes = slices.Clone(body.Cubes)
+	// What was done to a cube: all that was at about is moved by shift, and what is beyond by scale as far.
+	type placing struct {
+		about, shift Vector
+		scale        float64
+	}
+	placed := func(point Vector, by placing) (at Vector) {
+		for k := range point {
+			at[k] = by.about[k] + float64((point[k]-by.about[k])*by.scale) + by.shift[k]
+		}
+		return at
+	}
+	done := map[string]placing{body.Cubes[0].ID: {scale: 1}}
+	hangs := hangingOf(body)
+	for _, name := range hangs.names {
+		joint := hangs.by[name]
+		scale, there := scales[name]
+		if !there {
+			scale = 1
+		}
+		anchor := placed(joint.Anchor, done[joint.other(name)])
+		done[name] = placing{joint.Anchor, minus(anchor, joint.Anchor), scale}
+		cube := other.cube(name)
+		for k := range cube.Size {
+			cube.Size[k] *= scale
+		}
+		cube.Mass = float64(float64(float64(cube.Mass*scale)*scale) * scale)
+		cube.Position = placed(cube.Position, done[name])
+	}
+	return &other
+}
+
+// leastLeft returns for each joint of a body the least that rules can leave of it while that joint is there: what they
+// never take away, and what the joint hangs by; each part as small as it may come to be.
+func leastLeft(body *Body) []*Body {
+	lost := map[string]bool{}
+	for _, name := range body.Later {
+		lost[name] = true
+	}
+	for _, rule := range body.Development {
+		for _, name := range rule.Shed {
+			lost[name] = true
+		}
+	}
+	smallest, _ := scales(body)
+	small := resized(body, smallest)
+	found := make([]*Body, len(body.Joints))
+	if len(lost) == 0 {
+		for i := range found {
+			found[i] = small
+		}
+		return found
+	}
+	hangs, stays := hangingOf(body), map[string]bool{body.Cubes[0].ID: true}
+	for _, part := range hangs.names { // the nearer ones first
+		if stays[hangs.by[part].other(part)] && !lost[part] {
+			stays[part] = true
+		}
+	}
+	looped := len(body.Joints) >= len(body.Cubes) // then there is another way, and what is on one may be gone
+	for i := range body.Joints {
+		joint := &body.Joints[i]
+		kept := maps.Clone(stays)
+		for _, part := range []string{joint.Cube1, joint.Cube2} {
+			kept[part] = true
+			for at := part; !looped && hangs.by[at] != nil; {
+				at = hangs.by[at].other(at)
+				kept[at] = true
+			}
+		}
+		least := *small
+		least.Cubes = slices.DeleteFunc(slices.Clone(small.Cubes), func(cube Cube) bool { return !kept[cube.ID] })
+		found[i] = &least
 	}
 	return found
 }

@@ -1,6 +1,9 @@
 package genome
 
-import "fmt"
+import (
+	"fmt"
+	"math"
+)
 
 const gravity = 9.81 // m/s^2, by which efforts are judged, wherever a body is
 
@@ -14,21 +17,23 @@ type Limits struct {
 	Size *float64
 	// Of each cube, kg/m^3.
 	Density *float64
-	// Mass of a cube, of that of another to which a joint joins it.
+	// Mass of a cube, of that of another to which a joint joins it; of a body that develops, in the sizes to which its
+	// rules may bring them.
 	Neighbours *float64
-	// Of each motor: of a slide's, of the body's weight; of a hinge's, of weight times size.
+	// Of each motor: of a slide's, of the body's weight; of a hinge's, of weight times size; of one that develops, of the
+	// lightest that its rules can leave.
 	Effort *float64
 	// Of each cube.
 	Restitution *float64
+	// Least and most of each cube that sets its own; others have that of the ground.
+	Friction *[2]float64
 }
 
 // check returns the reasons why a body is not within the limits, in words; none if it is.
 func (l *Limits) check(body *Body) []string {
 	var reasons []string
 	beyond := func(limit *float64, value float64) bool { return limit != nil && value > float64(*limit*(1.0+1e-9)) }
-	low, high := body.Bounds()
-	edges := minus(high, low)
-	size, mass := max(edges[0], edges[1], edges[2]), body.Mass()
+	size, mass := body.size(), body.Mass()
 	whole := func(limit *float64, value float64, words string) {
 		if beyond(limit, value) {
 			reasons = append(reasons, fmt.Sprintf("the body has "+words, short(value), short(*limit)))
@@ -46,21 +51,32 @@ func (l *Limits) check(body *Body) []string {
 			bouncy.see(*cube.Restitution, cube.ID)
 		}
 	}
-	var ratios []float64
-	for i := range body.Joints {
-		joint := &body.Joints[i]
-		ratios = append(ratios, body.cube(joint.Cube1).Mass/body.cube(joint.Cube2).Mass)
-		unlike.see(ratios[i], joint.ID)
-		if joint.Motor != nil {
-			weight := float64(gravity * mass)
-			if joint.Type != "slide" {
-				weight = float64(weight * size)
-			}
-			strong.see(joint.Motor.MaxEffort/weight, joint.ID)
-		}
+	may := ""
+	if len(body.Development) > 0 {
+		may = " as the body may develop"
 	}
-	for i, ratio := range ratios {
-		unlike.see(1/ratio, body.Joints[i].ID)
+	small, large := scales(body)
+	least, most := map[string]float64{}, map[string]float64{}
+	for _, cube := range body.Cubes {
+		least[cube.ID] = float64(cube.Mass * cubed(small, cube.ID))
+		most[cube.ID] = float64(cube.Mass * cubed(large, cube.ID))
+	}
+	for _, joint := range body.Joints {
+		unlike.see(most[joint.Cube1]/least[joint.Cube2], joint.ID)
+	}
+	for _, joint := range body.Joints {
+		unlike.see(most[joint.Cube2]/least[joint.Cube1], joint.ID)
+	}
+	for i, light := range leastLeft(body) {
+		joint := &body.Joints[i]
+		if joint.Motor == nil {
+			continue
+		}
+		weight := float64(gravity * light.Mass())
+		if joint.Type != "slide" {
+			weight = float64(weight * light.size())
+		}
+		strong.see(joint.Motor.MaxEffort/weight, joint.ID)
 	}
 	each := func(limit *float64, found worst, words string) {
 		if beyond(limit, found.value) {
@@ -68,10 +84,40 @@ func (l *Limits) check(body *Body) []string {
 		}
 	}
 	each(l.Density, dense, "cube %s has %s kg/m^3, at most %s are allowed")
-	each(l.Neighbours, unlike, "joint %s joins masses of 1 to %s, at most 1 to %s are allowed")
+	each(l.Neighbours, unlike, "joint %s joins masses of 1 to %s"+may+", at most 1 to %s are allowed")
 	each(l.Restitution, bouncy, "cube %s has a restitution of %s, at most %s is allowed")
-	each(l.Effort, strong, "the motor of joint %s has an effort of %s, at most %s is allowed")
-	return reasons
+	each(l.Effort, strong, "the motor of joint %s has an effort of %s"+may+", at most %s is allowed")
+	return append(reasons, l.slippery(body)...)
+}
+
+// slippery returns why the surfaces of a body are none: the cube whose own friction is farthest below or above.
+func (l *Limits) slippery(body *Body) []string {
+	if l.Friction == nil {
+		return nil
+	}
+	low, high := l.Friction[0], l.Friction[1]
+	value, name, farthest := low, "", math.Inf(-1)
+	for _, cube := range body.Cubes {
+		if cube.Friction == nil {
+			continue
+		}
+		if by := max(low-*cube.Friction, *cube.Friction-high); by > farthest {
+			value, name, farthest = *cube.Friction, cube.ID, by
+		}
+	}
+	if low <= value && value <= high {
+		return nil
+	}
+	return []string{fmt.Sprintf("cube %s has a friction of %s, from %s to %s is allowed",
+		quoted(name), short(value), short(low), short(high))}
+}
+
+// cubed returns the third power of a scale, which is 1 where there is none.
+func cubed(scales map[string]float64, part string) float64 {
+	if scale, there := scales[part]; there {
+		return math.Pow(scale, 3)
+	}
+	return 1
 }
 
 // worst is the greatest of some values, the first of equals, and whose it is.

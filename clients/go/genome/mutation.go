@@ -60,17 +60,13 @@ type Channel struct {
 	Size int
 }
 
-// wrongWith returns the reasons why a body does not meet the requirements, in words; none if it does.
-func (r *Requirements) wrongWith(body *Body) []Problem {
-	var problems []Problem
+// Check returns the reasons why a body does not meet the requirements, in words; none if it does.
+func (r *Requirements) Check(body *Body) []string {
 	reasons := r.Limits.check(body)
 	if r.Planar && !body.planar() {
 		reasons = append(reasons, "it leaves the plane z = 0, and the engine knows no other")
 	}
-	for _, reason := range reasons {
-		problems = append(problems, Problem{"body", reason})
-	}
-	return problems
+	return reasons
 }
 
 // Mutate changes a genome a little: by one of the Kinds, or, where none is named, by one that is drawn. A mutant is a good

@@ -24,8 +24,12 @@ func (m *mutation) offspring(parent *Genome) (*Genome, error) {
 	if err != nil {
 		return nil, err
 	}
-	if reasons := m.needs.wrongWith(&child.Body); len(reasons) > 0 {
-		return nil, &DocumentError{reasons}
+	var problems []Problem
+	for _, reason := range m.needs.Check(&child.Body) {
+		problems = append(problems, Problem{"body", reason})
+	}
+	if len(problems) > 0 {
+		return nil, &DocumentError{problems}
 	}
 	return child, nil
 }

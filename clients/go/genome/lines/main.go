@@ -1,6 +1,7 @@
 // Command lines answers what is asked about genomes, a line of JSON each, for tests that compare it with NMES:
-// {"check": "TEXT"} is answered by what is wrong with that text and by the hash; {"mutate": {...}, "seed": 7, "number": 0,
-// "kind": "", "needs": {...}} by the mutant's hash and kind, or by why there is none.
+// {"check": "TEXT", "needs": {...}} is answered by what is wrong with that text, or by the hash and by which of the needs
+// the body does not meet; {"mutate": {...}, "seed": 7, "number": 0, "kind": "", "needs": {...}} by the mutant's hash and
+// kind, or by why there is none.
 package main
 
 import (
@@ -25,6 +26,7 @@ type question struct {
 type answer struct {
 	Problems []genome.Problem `json:"problems,omitempty"`
 	Hash     string           `json:"hash,omitempty"`
+	Reasons  []string         `json:"reasons,omitempty"`
 	Kind     string           `json:"kind,omitempty"`
 	Code     string           `json:"code,omitempty"`
 	Message  string           `json:"message,omitempty"`
@@ -39,7 +41,7 @@ func main() {
 		var asked question
 		must(json.Unmarshal(in.Bytes(), &asked))
 		if asked.Check != nil {
-			must(out.Encode(checked([]byte(*asked.Check))))
+			must(out.Encode(checked([]byte(*asked.Check), asked.Needs)))
 		} else {
 			must(out.Encode(mutated(asked)))
 		}
@@ -47,13 +49,13 @@ func main() {
 	must(in.Err())
 }
 
-func checked(text []byte) answer {
+func checked(text []byte, needs genome.Requirements) answer {
 	if problems := genome.Check(text); len(problems) > 0 {
 		return answer{Problems: problems}
 	}
 	read, err := genome.Parse(text)
 	must(err)
-	return answer{Hash: read.Hash}
+	return answer{Hash: read.Hash, Reasons: needs.Check(&read.Body)}
 }
 
 func mutated(asked question) answer {
