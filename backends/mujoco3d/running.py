@@ -8,6 +8,7 @@ back.
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import islice
 
@@ -408,7 +409,7 @@ class RunningModel:
     def _fail(self, substeps: int, wrenches: Wrenches) -> None:
         for warning, (code, message) in _FAULTS.items():
             if self._warnings[warning]:
-                raise SimulationFault(code, message)
+                raise SimulationFault(code, message, self._most_touched())
         owner, message, body = self.model.dof_bodyid, "the engine diverged", self._blamed()
         for values, quantity in ((self.data.qacc, "acceleration"), (self.data.qvel, "velocity")):
             sizes = np.nan_to_num(np.abs(values), nan=np.inf)
@@ -417,6 +418,15 @@ class RunningModel:
                 body = self.compiled.body_number[int(owner[sizes.argmax()])]
         first = self._first_out_of_hand(substeps, wrenches)
         raise SimulationFault("diverged", message, body if first is None else first)
+
+    def _most_touched(self) -> int | None:
+        """Returns the body with most contacts, in the tree that has most of them; of several it is the first."""
+        numbers, roots = self.compiled.body_number, self.model.body_rootid
+        touching = self.model.geom_bodyid[self.data.contact.geom].ravel().tolist()
+        touching = [index for index in touching if index in numbers]  # the scenery has no number
+        trees, bodies = Counter(int(roots[index]) for index in touching), Counter(touching)
+        most = max(bodies, key=lambda at: (trees[int(roots[at])], bodies[at], -numbers[at]), default=None)
+        return None if most is None else numbers[most]
 
     def _first_out_of_hand(self, substeps: int, wrenches: Wrenches) -> int | None:
         """Returns the body with which it began, once it has failed: takes the step again, an engine step at a time.

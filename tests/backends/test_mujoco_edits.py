@@ -234,10 +234,31 @@ def test_an_engine_out_of_memory_faults_its_world(room: int, code: str, monkeypa
         crowded.execute(client, {"type": "spawn_cube", "position": [0, 3, 0]})
     assert crowded.execute(client, {"type": "step"})["code"] == "world_faulted"
     assert crowded.fault is not None and (crowded.fault.code, crowded.fault.frame) == (code, 0)
+    assert (crowded.fault.cube is None) == (code == "arena_exhausted")  # which breaks off whatever it is in
     assert quiet.digest() == alone and quiet.execute(other, {"type": "step"})["frame"] == 11
     crowded.execute(client, {"type": "reset"})
     crowded.execute(client, {"type": "spawn_cube", "position": [0, 3, 0]})
     assert crowded.execute(client, {"type": "step"})["frame"] == 1
+
+
+@pytest.mark.parametrize(("room", "code"), [(60, "contact_overflow"), (120, "constraint_overflow")])
+def test_an_engine_without_room_for_contacts_names_the_cube_that_has_most(
+    room: int, code: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler, "arena_bytes", lambda bodies: room << 10)
+    monkeypatch.setattr(compiler, "_SMALL", -1)
+    world = World({"mode": "lockstep"})
+    client = world.join()
+    places = [(x, z) for x in range(-2, 3) for z in range(-2, 3)]
+    for i, (x, z) in enumerate(places):
+        world.execute(client, {"type": "spawn_cube", "position": [0.5 * x, 1.2, 0.5 * z], "size": 0.4})
+        if i == 11:
+            world.execute(
+                client, {"type": "spawn_cube", "cube_name": "plate", "position": [0, 0.5, 0], "size": [4, 1, 4]}
+            )
+    assert world.execute(client, {"type": "step"})["code"] == "world_faulted"
+    assert world.fault is not None and (world.fault.code, world.fault.cube) == (code, "plate")
+    assert world.fault.message.endswith("(cube plate)")
 
 
 def test_a_divergence_names_its_body() -> None:

@@ -10,6 +10,7 @@ import pytest
 from creatures import exploding
 from ecosystems import config, of, run, watched
 from nmes import World
+from nmes.backends.mujoco3d import compiler
 from nmes.playback import replay
 from nmes.recording import Recorder, Recording
 
@@ -37,6 +38,32 @@ def test_a_creature_that_the_engine_cannot_follow_dies_and_the_others_live_on(na
     life = world.execute(client, {"type": "get_life"})
     assert len(life["living"]) > 3 and not {each["creature"] for each in life["living"]} & {*names}
     assert not [cube for cube in world.entities.cubes if cube.partition(".")[0] in names]
+
+
+def test_a_creature_with_more_contacts_than_there_is_room_for_dies_and_the_others_live_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler, "arena_bytes", lambda bodies: 120 << 10)
+    monkeypatch.setattr(compiler, "_SMALL", -1)  # no models with more room from before
+    world, client, events = watched(config())
+    recorder = world.journal = Recorder(tmp_path / "raft.mcap", world)
+    run(world, 30)
+    places = [(i, j) for i in range(6) for j in range(6)]
+    cubes = [{"id": f"c{i}{j}", "size": 0.3, "mass": 0.5, "position": [0.32 * i, 0.15, 0.32 * j]} for i, j in places]
+    joints = [
+        {
+            **{"id": f"j{i}{j}", "type": "fixed", "anchor": [0.32 * i, 0.15, 0.32 * j], "cube2": f"c{i}{j}"},
+            "cube1": f"c{i - 1}{j}" if i else f"c0{j - 1}",
+        }
+        for i, j in places[1:]
+    ]
+    raft = {"format": "nmes-genome/1", "name": "raft", "body": {"cubes": cubes, "joints": joints}}
+    world.execute(client, {"type": "spawn_creature", "name": "raft", "genome": raft, "position": [40, 0.16, 40]})
+    run(world, 100)
+    assert [(each["creature"], each["cause"]) for each in of(events, "creature_died")] == [("raft", "diverged")]
+    recorder.close()
+    for begin in (None, 31, 35):
+        assert replay(Recording(tmp_path / "raft.mcap"), first=begin).verdict == "reproduced", begin
 
 
 def test_what_was_lost_is_lost_again_in_a_replay_from_any_keyframe(tmp_path: Path) -> None:
