@@ -166,7 +166,7 @@ func resized(body *Body, scales map[string]float64) *Body {
 		done[name] = placing{joint.Anchor, minus(anchor, joint.Anchor), scale}
 		cube := other.cube(name)
 		for k := range cube.Size {
-			cube.Size[k] *= scale
+			cube.Size[k] = float64(cube.Size[k] * scale)
 		}
 		cube.Mass = float64(float64(float64(cube.Mass*scale)*scale) * scale)
 		cube.Position = placed(cube.Position, done[name])
