@@ -42,6 +42,9 @@ func world(t testing.TB) string {
 			ports <- port
 		}
 	})
+	if host == nil {
+		t.Fatal("there is no server: the first test that asked for it says why")
+	}
 	return fmt.Sprintf("127.0.0.1:%d", <-ports)
 }
 
