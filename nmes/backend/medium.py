@@ -63,9 +63,9 @@ class Immersion:
     ) -> None:
         self._level, self._weight = medium.level, np.array(weight)[:, None, None]
         own = np.array([moments(shape, size) for shape, size in zip(shapes, sizes, strict=True)]).reshape(-1, 3)
-        self._volumes = np.array([volume(shape, size) for shape, size in zip(shapes, sizes, strict=True)])
-        self._displaced = -medium.density * self._volumes
-        self._strength = -medium.density * weight[1] * self._volumes
+        volumes = np.array([volume(shape, size) for shape, size in zip(shapes, sizes, strict=True)])
+        self._displaced = -medium.density * volumes
+        self._strength = -medium.density * weight[1] * volumes
         a, b, c = own.T
         box = np.sqrt(6.0 * np.stack([b + c - a, a + c - b, a + b - c]))  # its edges, shape (3, n)
         # Of axes, moments of time and bodies, shape (3, 1, n); those of drag for forces and for torques, (2, 3, 1, n).

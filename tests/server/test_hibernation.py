@@ -243,6 +243,27 @@ def test_a_sleeping_world_has_no_file_open_and_its_recording_is_whole(tmp_path: 
     assert Recording(path).complete and replay(path).verdict == "reproduced"
 
 
+def test_a_world_is_told_to_be_asleep_once_its_recording_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, rest = threading.Event(), Recorder.rest
+
+    def wait(recorder: Recorder) -> None:
+        assert gate.wait(PATIENCE)
+        rest(recorder)
+
+    monkeypatch.setattr(Recorder, "rest", wait)
+    with served({"backend": "ballistic"}, record_to=tmp_path, hibernate_after=SOON) as server:
+        session(server, [{"type": "step"}])
+        until(lambda: asleep(server))  # its engine is let go, and its recording not yet complete
+        told = [world["asleep"] for world in server.client().worlds()]
+        gate.set()
+        assert told == [False]
+        until(lambda: [world["asleep"] for world in server.client().worlds()] == [True])
+        (path,) = tmp_path.iterdir()
+        assert Recording(path).complete
+
+
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: os.truncate(path, 999), lambda path: path.write_bytes(b"")])
 def test_a_recording_that_was_harmed_in_its_sleep_stops_the_world_and_says_so(
     harm: Callable[[Path], None], tmp_path: Path
