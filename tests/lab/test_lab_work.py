@@ -101,9 +101,8 @@ def test_a_mutant_is_that_of_the_command_line(lab: RunningLab) -> None:
 def test_a_run_that_was_paused_and_resumed_is_that_of_the_command_line(lab: RunningLab, tmp_path: Path) -> None:
     lab.good("/api/genomes/mine", json.dumps(WALKER).encode(), "PUT")  # a test above saves another
     genome, folder = str(lab.folder / "genomes" / "mine.json"), str(tmp_path / "run")
-    options = ["--task", "walk", "--budget", "24", "--seed", "3", "--seeds", "1", "--jobs", "1", "-o", folder, "--json"]
-    expected = subprocess.run([NMES, "evolve", genome, *options], capture_output=True, check=True, timeout=4 * PATIENCE)
-    job = lab.good("/api/runs", {"kind": "evolve", "name": "first", "settings": SETTINGS})
+    endless = {**SETTINGS, "budget": 100_000}  # so that it can be paused, however late that is asked for
+    job = lab.good("/api/runs", {"kind": "evolve", "name": "first", "settings": endless})
     assert job["command"] == (
         f"nmes evolve --settings {lab.folder}/settings/first.json -o {lab.folder}/runs/first --json"
     )
@@ -112,26 +111,31 @@ def test_a_run_that_was_paused_and_resumed_is_that_of_the_command_line(lab: Runn
     lab.good("/api/runs/first/pause", {})
     ended = lab.ended(job["id"])
     about = lab.good("/api/runs/first")
-    if ended["status"] == 1:  # else it was done before
-        assert about["state"] == "paused" and about["told"] < 24
+    assert ended["status"] == 1 and about["state"] == "paused", ended
+    total = about["told"] + 8
     assert lab.ask("/api/runs/first/pause", {})[1]["error"]["code"] == "not_running"
-    resumed = lab.ended(lab.good("/api/runs/first/resume", {})["id"])
+    resumed = lab.ended(lab.good("/api/runs/first/resume", {"budget": total})["id"])
     assert resumed["status"] == 0, resumed
     about = lab.good("/api/runs/first")
-    assert (about["state"], about["told"]) == ("finished", 24)
+    assert (about["state"], about["told"]) == ("finished", total)
+    options = ["--task", "walk", "--budget", str(total), "--seed", "3", "--seeds", "1", "--jobs", "1", "-o", folder]
+    command = [NMES, "evolve", genome, *options, "--json"]
+    expected = subprocess.run(command, capture_output=True, check=True, timeout=4 * PATIENCE)
     assert about["digest"] == resumed["result"]["digest"] == json.loads(expected.stdout)["digest"]
+    again = lab.ended(lab.good("/api/runs/first/resume", {})["id"])  # with the budget that it has
+    assert (again["status"], again["result"]["digest"]) == (0, about["digest"])
     run = Run.open(tmp_path / "run")
     assert run.best is not None and about["best"] == {"index": run.best.index, "score": run.best.score}
     assert about["curve"][-1]["best"] == run.best.score and about["lineage"][-1]["index"] == run.best.index
-    for budget in (23, 0, -1, "x", True, 1.5, 1 << 40):
+    for budget in (total - 1, 0, -1, "x", True, 1.5, 1 << 40):
         assert lab.ask("/api/runs/first/resume", {"budget": budget})[1]["error"]["path"] == "budget", budget
     for number in (str(run.best.index), "best"):
         assert lab.good(f"/api/runs/first/candidates/{number}/genome") == run.genome(run.best.index).document
-    for number in ("24", "-1", "x", "%2e%2e"):
+    for number in (str(total), "-1", "x", "%2e%2e"):
         assert lab.ask(f"/api/runs/first/candidates/{number}/genome")[0] == 404
     until(lambda: any(item["details"] for item in lab.good("/api/runs")["items"]))  # the folder is listed beside it
     (item,) = lab.good("/api/runs")["items"]
-    assert (item["name"], item["details"]["kind"], item["details"]["told"]) == ("first", "evolve", 24)
+    assert (item["name"], item["details"]["kind"], item["details"]["told"]) == ("first", "evolve", total)
 
 
 def test_settings_that_are_none_start_nothing(lab: RunningLab) -> None:
