@@ -45,15 +45,14 @@ def go_on(run: LearningRun, threads: int | None, as_json: bool) -> None:
     run = type(run).open(run.folder)  # wherever it was interrupted, this is what is there
     stopped = interrupted() and not run.finished
     if stopped:
-        done = run.legs[-1].steps if run.legs else 0
-        click.echo(visible(f"stopped: {done:,} of {run.settings.steps:,} steps done"), err=True)
+        click.echo(visible(f"stopped: {run.progress} steps done"), err=True)
         click.echo(visible(f"go on with: nmes learn resume {shlex.quote(str(run.folder))}"), err=True)
     tell(run, as_json)
     sys.exit(1 if stopped else 0)
 
 
 def _advance(run: LearningRun, threads: int, interrupted: Callable[[], bool]) -> None:
-    begin, first = time.monotonic(), run.legs[-1].steps if run.legs else 0
+    begin, first = time.monotonic(), run.steps
     total = run.settings.steps
     with progress_bars() as progress:
         progress("learning", first, total)
@@ -76,8 +75,7 @@ def tell(run: LearningRun, as_json: bool) -> None:
     if as_json:
         print_json(_summary(run))
         return
-    done = run.legs[-1].steps if run.legs else 0
-    click.echo(visible(f"{run.folder}: {done:,} of {run.settings.steps:,} steps in {len(run.legs):,} legs"))
+    click.echo(visible(f"{run.folder}: {run.progress} steps in {len(run.legs):,} legs"))
     if best is not None:
         click.echo(visible(f"best: {best.score:.6g}, after leg {best.leg}: {run.folder / 'genome.json'}"))
     for line in borrowed_names({run.settings.task.hash: run.settings.task.name}):
@@ -90,7 +88,7 @@ def _summary(run: LearningRun) -> dict[str, Any]:
     named = ("leg", "steps", "score", "genome_hash")
     return {
         "run": str(Path(run.folder)),
-        "steps": run.legs[-1].steps if run.legs else 0,
+        "steps": run.steps,
         "legs": len(run.legs),
         "finished": run.finished,
         "best": None if best is None else {name: best.content[name] for name in named},

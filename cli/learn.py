@@ -35,7 +35,7 @@ for _each in (_learn_cube, _learn_resume, _learn_show, _learn_verify):
 @click.option("--task", metavar="T", help="A file, or the name of a task that ships.  [default: walk; the recordings']")
 @click.option("--algorithm", metavar="A", default="ppo", show_default=True, help="Its name, one of those above.")
 @click.option(
-    "--steps", metavar="N", type=click.IntRange(1), default=1_000_000, show_default=True, help="To learn from, in all."
+    "--steps", metavar="N", type=click.IntRange(1), default=1_000_000, show_default=True, help="Learn from at least N."
 )
 @click.option(
     "--seed", metavar="S", type=click.IntRange(0), default=0, show_default=True, help="Of all that the run draws."

@@ -135,9 +135,20 @@ class LearningRun:
         return self.legs[-1].digest if self.legs else self._log.origin[:32]
 
     @property
+    def steps(self) -> int:
+        """How many steps were learned from: more than the settings say where the last leg went on beyond them."""
+        return self.legs[-1].steps if self.legs else 0
+
+    @property
     def finished(self) -> bool:
         """Whether as many steps were learned from as the settings say."""
-        return bool(self.legs) and self.legs[-1].steps >= self.settings.steps
+        return self.steps >= self.settings.steps
+
+    @property
+    def progress(self) -> str:
+        """How many steps were learned from, of how many, in words."""
+        asked = f"{self.settings.steps:,}"
+        return f"{self.steps:,} of {asked if self.steps <= self.settings.steps else f'at least {asked}'}"
 
     @property
     def best(self) -> Leg | None:

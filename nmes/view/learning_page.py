@@ -30,8 +30,7 @@ def title(run: LearningRun) -> str:
 
 def facts(run: LearningRun) -> list[tuple[str, str]]:
     """Returns the state of the run and its outcome, as names and values."""
-    done = run.legs[-1].steps if run.legs else 0
-    told = [("steps", f"{done:,} of {run.settings.steps:,}"), ("legs", f"{len(run.legs):,}")]
+    told = [("steps", run.progress), ("legs", f"{len(run.legs):,}")]
     if run.best is not None:
         told.append(("best", f"{number(run.best.score)} (after leg {run.best.leg}, {run.best.steps:,} steps)"))
     returned = [leg.returned for leg in run.legs if leg.returned is not None]

@@ -125,15 +125,17 @@ export class RunView {
     const total = (learning ? run.settings.steps : run.settings.budget) ?? 1;
     const done = learning ? (run.legs?.at(-1)?.steps ?? 0) : (run.told ?? 0);
     const task = typeof run.settings.task === "string" ? run.settings.task : run.settings.task.name;
-    this.#bar.style.setProperty("width", `${Math.min(100, (100 * done) / total)}%`);
-    this.#bar.parentElement?.setAttribute("aria-valuenow", String(Math.round((100 * done) / total)));
+    const percent = Math.min(100, (100 * done) / total); // a run of learning ends its last leg, beyond what was asked for
+    this.#bar.style.setProperty("width", `${percent}%`);
+    this.#bar.parentElement?.setAttribute("aria-valuenow", String(Math.round(percent)));
     const key = `${run.state} ${run.digest}`;
     if (key === this.#shown) return;
     const before = this.#shown.split(" ")[0];
     if (before !== "" && before !== run.state) announce(`The run is ${run.state}.`);
     this.#shown = key;
     this.#portraits.delete("best");
-    fill(this.#head, badge(run.state), h("span", {}, `${done.toLocaleString("en")} of ${total.toLocaleString("en")} ${learning ? "steps" : "candidates"}`),
+    const asked = `${done > total ? "at least " : ""}${total.toLocaleString("en")}`;
+    fill(this.#head, badge(run.state), h("span", {}, `${done.toLocaleString("en")} of ${asked} ${learning ? "steps" : "candidates"}`),
       h("span", { class: "soft" }, `${task} · ${run.settings.algorithm} · seed ${run.settings.seed}`), h("span", { class: "grow" }), this.#steering(run));
     this.#draw(run);
     this.#champion(run, learning);
