@@ -25,7 +25,7 @@ PLAIN = (DRIVERS / "plain.py").read_text()
 GO = shutil.which("go", path=os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/local/go/bin"]))
 
 
-def failed(command: Sequence[str], *, timeout: float = 30.0, only: Sequence[str] = ()) -> dict[str, str]:
+def failed(command: Sequence[str], *, timeout: float = 5.0, only: Sequence[str] = ()) -> dict[str, str]:
     """Returns the cases that a client does not pass, with what it did instead."""
     results = judge(command, timeout=timeout, only=only)
     return {each.case.number: f"{each.received} {each.reason}" for each in results if each.verdict is not Verdict.OK}

@@ -262,7 +262,6 @@ def _world_closed(t: Stage) -> None:
 def _slow_reading(t: Stage) -> None:
     """A server that reads slowly gets every command, whole and in order."""
     peer = t.enter()
-    peer.narrow()
     t.pipeline(_MANY)
     time.sleep(0.3)
     for number, given in enumerate(_MANY):
@@ -279,7 +278,6 @@ def _slow_reading(t: Stage) -> None:
 def _reading_while_writing(t: Stage) -> None:
     """The client reads replies while it still sends, as a server reads no further than it can answer."""
     peer = t.enter()
-    peer.narrow()
     t.pipeline(_MANY)
     for number, given in enumerate(_MANY):
         command = peer.command("spawn_cube")

@@ -27,6 +27,11 @@ __all__ = ["CLIENT_CASES", "ClientResult", "NoPort", "judge", "select_client_cas
 CLIENT_CASES = [case for group in (LOGIN, COMING, GOING, MATCHING, CONNECTIONS) for case in group.cases]
 """All cases, in order."""
 
+# Bytes that the system keeps of what a client sends, and of what it is sent: little, as of a busy server. Connections
+# have it from their beginning, by the listener. Told later, it shrinks a window that the client was promised, whose
+# system then sends a little every 200 ms, and waits longer each time where that is lost.
+_KEPT = 16 << 10
+
 
 class NoPort(NmesError):
     """The port cannot be listened on."""
@@ -92,6 +97,8 @@ def judge(
         listener = socket.create_server(("127.0.0.1", port))
     except OSError as error:
         raise NoPort("unreachable", f"cannot listen on port {port}: {error.strerror}") from error
+    for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+        listener.setsockopt(socket.SOL_SOCKET, buffer, _KEPT)
     driver: Driver | None = None
     results: list[ClientResult] = []
     with listener:

@@ -54,11 +54,6 @@ class Peer:
         self._splitter = FrameSplitter(_FRAME_LIMIT)
         self._frames: list[bytes] = []
 
-    def narrow(self) -> None:
-        """Makes the system keep little of what the client sends and of what it is sent."""
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 16 << 10)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16 << 10)
-
     # -- in --------------------------------------------------------------------------------------------------------
 
     def frame(self, what: str) -> bytes:
