@@ -203,6 +203,7 @@ def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: L
         assert serious(page) == []
         page.get_by_role("button", name="Start").click()
         page.get_by_text(re.compile("[1-9][0-9,]* of at least 600 steps")).wait_for(timeout=4 * PATIENCE)
+        assert page.get_by_role("progressbar").get_attribute("aria-valuenow") == "100"
         assert settings_of(lab, "copy")["algorithm"] == "clone"
         page.get_by_role("link", name="Begin another like it").click()
         choice.locator("option", has_text="walker-").wait_for(state="attached")
