@@ -174,11 +174,12 @@ def round_numbers(least: float, most: float, *, inside: bool = False) -> list[fl
         inside: Whether those outside the range are left out.
     """
     least, most = in_reach(least), in_reach(most)
-    apart = 1e-9 * max(abs(least), abs(most), 1.0)  # what is nearer to each other is one number
-    most = max(most, least + apart)
-    step = 10.0 ** floor(log10(most - least))
-    step *= next(part for part in (0.25, 0.5, 1.0, 2.5) if (most - least) / (step * part) <= 5.0)
-    first, last = floor(least / step), max(-floor(-most / step), floor(least / step) + 1)
+    length = most - least
+    if length < 1e-9 * max(abs(least), abs(most), 1.0):  # they are one number, which has an axis of its own size
+        length = abs(least) / 10 if abs(least) > 1e-9 else 1.0
+    step = 10.0 ** floor(log10(length))
+    step *= next(part for part in (0.25, 0.5, 1.0, 2.5) if length / (step * part) <= 5.0)
+    first, last = floor(least / step), max(-floor(-(least + length) / step), floor(least / step) + 1)
     numbers = [step * number for number in range(first, last + 1)]
     return [number for number in numbers if least <= number <= most] if inside else numbers
 
