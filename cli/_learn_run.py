@@ -75,7 +75,8 @@ def tell(run: LearningRun, as_json: bool) -> None:
     if as_json:
         print_json(_summary(run))
         return
-    click.echo(visible(f"{run.folder}: {run.progress} steps in {len(run.legs):,} legs"))
+    legs = "1 leg" if len(run.legs) == 1 else f"{len(run.legs):,} legs"
+    click.echo(visible(f"{run.folder}: {run.progress} steps in {legs}"))
     if best is not None:
         click.echo(visible(f"best: {best.score:.6g}, after leg {best.leg}: {run.folder / 'genome.json'}"))
     for line in borrowed_names({run.settings.task.hash: run.settings.task.name}):

@@ -71,10 +71,13 @@ def test_a_run_says_how_it_came_out(whole: Path, task: Path) -> None:
     assert evaluate(Genome.load(whole / "genome.json"), Task.load(task)).score == run.best.score
 
 
-def test_a_run_whose_last_leg_goes_beyond_its_steps_says_so(task: Path, tmp_path: Path) -> None:
-    result = nmes("inchworm", "--task", task, "--steps", "70", *BEGIN, "-o", tmp_path / "run", "--threads", "1")
-    assert "120 of at least 70 steps in 2 legs" in result.output
-    assert "120 of at least 70" in nmes("show", tmp_path / "run").output
+@pytest.mark.parametrize(("steps", "done", "legs"), [(20, 60, "1 leg"), (70, 120, "2 legs")])
+def test_a_run_whose_last_leg_goes_beyond_its_steps_says_so(
+    task: Path, tmp_path: Path, steps: int, done: int, legs: str
+) -> None:
+    result = nmes("inchworm", "--task", task, "--steps", str(steps), *BEGIN, "-o", tmp_path / "run", "--threads", "1")
+    assert f"{done} of at least {steps} steps in {legs}\n" in result.output
+    assert f"{done} of at least {steps}" in nmes("show", tmp_path / "run").output
 
 
 def test_a_run_is_stopped_and_gone_on_with_to_the_same_digest(whole: Path, task: Path, tmp_path: Path) -> None:
