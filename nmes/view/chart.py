@@ -11,7 +11,7 @@ import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
-from math import floor, isfinite, log10
+from math import ceil, floor, isfinite, log10
 
 from nmes.backend import Image as Pixels
 from nmes.errors import visible
@@ -31,9 +31,9 @@ __all__ = [
 
 WIDTH = 980
 LEFT, RIGHT, TOP, BOTTOM = 72, 24, 16, 48  # round the plane of a chart, pixels
-_LINE = 15  # of text, pixels
 _FARTHEST = 1e300  # in a picture: the distance of numbers beyond may be greater than any number
-_LETTER = 0.56  # mean width of a letter, of its size
+_LETTER = 6.75  # mean width of a letter, pixels
+_TITLE = 23  # of the left axis: what it takes of the left edge, pixels
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7a5195", "#8a8d91")
 _DARK_SERIES = ("#4aa8e0", "#ff8a4c", "#3cc79a", "#e29ac4", "#e2b84a", "#8fd0f5", "#b48ad0", "#a4a8ae")
 STYLE = "\n".join(
@@ -120,7 +120,10 @@ class Chart:
         numbers = round_numbers(*across)
         self._across = across if across[1] > across[0] else (numbers[0], numbers[-1])
         self._upward = upward if not widened and upward[1] > upward[0] else (self._steps[0], self._steps[-1])
-        self.left, self.top, self.plane_width, self.plane_height = LEFT, TOP, WIDTH - LEFT - right, height
+        self._marks = round_numbers(*self._across, inside=True)
+        self.left = max(LEFT, ceil(_TITLE + _widest(self._steps)) + 8)
+        right = max(right, ceil(_widest(self._marks[-1:]) / 2))  # the last one may stand at the very end
+        self.top, self.plane_width, self.plane_height = TOP, WIDTH - self.left - right, height
         self.width, self.height = float(WIDTH), TOP + height + BOTTOM
 
     def x(self, value: float) -> float:
@@ -143,15 +146,27 @@ class Chart:
         for step in self._steps:
             if self._upward[0] <= step <= self._upward[1]:
                 level = self.y(step)
+                place = f'x="{self.left - 8}" y="{level + 4:.1f}" text-anchor="end"'
                 yield f'<path class="grid" d="M{self.left} {level:.1f}H{right}"/>'
-                yield f'<text class="soft" x="{self.left - 8}" y="{level + 4:.1f}" text-anchor="end">{step:g}</text>'
-        for step in round_numbers(*self._across, inside=True):
+                yield f'<text class="soft" {place}>{_on_axis(step)}</text>'
+        for step in self._marks:
             place = f'x="{self.x(step):.1f}" y="{bottom + 18}" text-anchor="middle"'
-            yield f'<path class="grid" d="M{self.x(step):.1f} {bottom}v5"/><text class="soft" {place}>{step:,g}</text>'
+            yield f'<path class="grid" d="M{self.x(step):.1f} {bottom}v5"/>'
+            yield f'<text class="soft" {place}>{_on_axis(step)}</text>'
         middle = self.left + self.plane_width / 2
         yield f'<text class="ink" x="{middle}" y="{bottom + 38}" text-anchor="middle">{text(short(across, 100))}</text>'
         turn = f'transform="translate(16 {self.top + self.plane_height / 2}) rotate(-90)"'
         yield f'<text class="ink" {turn} text-anchor="middle">{text(short(upward, 44))}</text>'
+
+
+def _on_axis(step: float) -> str:
+    """Returns a number of an axis as people read it, to as many digits as tell it from the next one."""
+    return f"{step:,.10g}"
+
+
+def _widest(steps: Sequence[float]) -> float:
+    """Returns how wide the widest of the numbers of an axis is, pixels."""
+    return _LETTER * max((len(_on_axis(step)) for step in steps), default=0)
 
 
 def in_reach(value: float) -> float:

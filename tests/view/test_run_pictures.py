@@ -18,7 +18,7 @@ from nmes.evolution.champions import Champion
 from nmes.evolution.history import History
 from nmes.genome import Genome
 from nmes.genome.preview import render_cutout
-from nmes.view.chart import Picture, png_source, round_numbers
+from nmes.view.chart import Chart, Picture, png_source, round_numbers
 from nmes.view.run_archive import archive_map
 from nmes.view.run_curves import fitness_curves, groups_over_time
 from nmes.view.run_eras import ancestors_map, era_curves
@@ -90,6 +90,13 @@ def test_the_numbers_of_an_axis_are_round_and_go_round_the_range(
     assert found == pytest.approx(numbers)
 
 
+def test_great_numbers_on_an_axis_are_written_out() -> None:
+    chart = Chart((0.0, 5e6), (0.0, 4e6))
+    axes = "".join(chart.axes("steps", "score"))
+    assert ">5,000,000<" in axes and ">4,000,000<" in axes
+    assert chart.x(5e6) + 6.5 * len("5,000,000") / 2 <= chart.width
+
+
 def test_the_curve_of_the_best_rises_where_a_champion_came_and_the_band_is_round_the_median() -> None:
     scores = [None, *(float(index % 10 + index // 20) for index in range(199))]
     picture = fitness_curves(history(*scores), "score on walk")
@@ -105,6 +112,17 @@ def test_the_curve_of_the_best_rises_where_a_champion_came_and_the_band_is_round
         assert x == low[0] == high[0] and high[1] <= y <= low[1]
     assert "score on walk" in words(picture) and inside(picture)
     assert picture.description == "The best score rises from 0 to 18, which candidate 190 reached."
+
+
+@pytest.mark.parametrize("scores", [(0.0, 5.0), (-0.0048, -0.0031), (-1.25e-300, 0.0), (12_345_678.0, 12_345_679.0)])
+def test_the_numbers_of_the_left_axis_leave_room_for_its_title(scores: tuple[float, float]) -> None:
+    texts = elements(fitness_curves(history(*scores), "score"), "text")
+    (title,) = (text for text in texts if text.get("transform"))
+    right_of_title = float(title.get("transform", "").removeprefix("translate(").split()[0]) + 4  # what hangs below
+    numbers = [text for text in texts if text.get("text-anchor") == "end"]
+    assert len({number.text for number in numbers}) == len(numbers) >= 2
+    for number in numbers:
+        assert float(number.get("x", "")) - 6.5 * len(number.text or "") >= right_of_title
 
 
 @pytest.mark.parametrize("score", [2.0, 0.0, -1e20, 1e300])
