@@ -88,7 +88,10 @@ class MujocoBackend(Backend):
 
 @cache
 def _library_hash() -> str:
-    digest = hashlib.sha256()
-    for path in sorted(Path(mujoco.__file__).parent.glob("libmujoco*")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    """Returns the SHA-256 of the library that runs, whatever others lie beside it; "unknown" if it is elsewhere."""
+    version = mujoco.mj_versionString()
+    for name in (f"libmujoco.so.{version}", f"libmujoco.{version}.dylib", "mujoco.dll"):
+        path = Path(mujoco.__file__).with_name(name)
+        if path.is_file():
+            return hashlib.sha256(path.read_bytes()).hexdigest()
+    return "unknown"

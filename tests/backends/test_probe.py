@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import mujoco
 import pytest
 
 from nmes.backend import Backend, SceneSpec, Simulation, load_backend
@@ -67,3 +73,26 @@ def test_a_probe_depends_on_no_thread_and_on_no_world_before_it(name: str) -> No
 
     with ThreadPoolExecutor(3) as pool:
         assert {*pool.map(lambda _: again(), range(3)), again()} == {probe(engine())}
+
+
+def test_a_library_that_another_version_left_in_the_package_is_not_in_the_fingerprint(tmp_path: Path) -> None:
+    package = tmp_path / "mujoco"
+    package.mkdir()
+    for path in Path(mujoco.__file__).parent.iterdir():
+        (package / path.name).symlink_to(path)
+    (package / "libmujoco.so.4.0.0").write_bytes(b"left when 3.17.0 was installed again")
+    program = (
+        "import json, mujoco; from nmes.backend import load_backend; backend = load_backend('mujoco'); "
+        "print(json.dumps([mujoco.__file__, backend.fingerprint()]))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded, found = json.loads(run.stdout)
+    assert loaded == str(package / "__init__.py")
+    assert found == load_backend("mujoco").fingerprint()
+    assert len(found["engine_sha256"]) == 64
