@@ -160,6 +160,29 @@ def test_an_edit_leaves_other_structures_bit_for_bit() -> None:
     assert settle(edit=True).tobytes() == settle(edit=False).tobytes()
 
 
+def test_an_edit_leaves_a_heap_that_slides_elsewhere_bit_for_bit() -> None:
+    """Its contacts are solved from where the solver left off, as if there had been no edit."""
+
+    def slide(edit: bool) -> list[bytes]:
+        simulation = scene()
+        simulation.add_body(1, box((0.0, 0.5, 0.0), euler=(0.3, 0.2, 0.3)))
+        simulation.add_body(2, box((0.2, 1.9, 0.1), euler=(0.1, 0.2, 0.3)))
+        simulation.add_body(3, box((90.0, 2.0, 0.0)))
+        simulation.step(48)
+        if edit:
+            simulation.add_body(4, box((92.0, 2.0, 0.0)))
+            simulation.add_joint(1, JointSpec("fixed", 4, 3, (91.0, 2.0, 0.0), (1.0, 0.0, 0.0)))
+        after = []
+        for _ in range(8):
+            simulation.step(1)
+            after.append(simulation.states([1, 2]).tobytes())
+        return after
+
+    undisturbed = slide(edit=False)
+    assert len({*undisturbed}) == 8
+    assert slide(edit=True) == undisturbed
+
+
 def test_sleepers_wake_when_touched_pushed_joined_or_undermined() -> None:
     def asleep() -> MujocoSimulation:
         simulation = scene()
