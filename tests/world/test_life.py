@@ -347,10 +347,12 @@ def test_a_birth_for_which_the_world_has_no_room_does_not_happen() -> None:
 
 def test_the_newborn_overlap_nobody() -> None:
     world, _, _ = watched(config())
+    born = 0
     for _ in range(25):
         before = set(world.creatures())
         world.tick()
         new = [name for name in world.creatures() if name not in before]
+        born += len(new)
         names, states = world.poses()
         middles = {name: state[:3] for name, state in zip(names, states, strict=True)}
         for name in new:
@@ -358,6 +360,7 @@ def test_the_newborn_overlap_nobody() -> None:
             for other, place in middles.items():
                 if not other.startswith(f"{name}."):
                     assert min(float(((place - cube) ** 2).sum()) for cube in mine) > 0.04
+    assert born > 3
 
 
 def test_newcomers_come_where_there_are_too_few() -> None:
