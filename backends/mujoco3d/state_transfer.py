@@ -11,7 +11,7 @@ All functions work on a model as `compiler.compile_model` returned it, and its d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping
 from math import asin, atan2, cos, sin
 from typing import Any, NamedTuple
 
@@ -104,15 +104,12 @@ class _Arrays(NamedTuple):
     def of(cls, data: Any) -> _Arrays:
         return cls(data.qpos, data.qvel, data.qacc_warmstart)
 
-    def copy(self, source: _Arrays, kept: Sequence[tuple[Slot, Slot]]) -> None:
-        """Copies coordinates with their velocities and warm start, bit for bit; `kept`: where each is to be, and is."""
-        q = [place for slot, _ in kept for place in range(slot.q, slot.q + slot.nq)]
-        v = [place for slot, _ in kept for place in range(slot.v, slot.v + slot.nv)]
-        source_q = [place for _, slot in kept for place in range(slot.q, slot.q + slot.nq)]
-        source_v = [place for _, slot in kept for place in range(slot.v, slot.v + slot.nv)]
-        self.qpos[q] = source.qpos[source_q]
-        self.qvel[v] = source.qvel[source_v]
-        self.warm_start[v] = source.warm_start[source_v]
+    def copy(self, slot: Slot, source: _Arrays, source_slot: Slot) -> None:
+        """Copies a coordinate with its velocity and warm start, bit for bit."""
+        q, v, source_q, source_v = slot.q, slot.v, source_slot.q, source_slot.v
+        self.qpos[q : q + slot.nq] = source.qpos[source_q : source_q + slot.nq]
+        self.qvel[v : v + slot.nv] = source.qvel[source_v : source_v + slot.nv]
+        self.warm_start[v : v + slot.nv] = source.warm_start[source_v : source_v + slot.nv]
 
 
 def transfer_state(
@@ -136,18 +133,17 @@ def transfer_state(
         balls: The orientations that `ball_orientations` returned before the edit was installed.
     """
     before, after = _Arrays.of(source), _Arrays.of(target)
-    kept: list[tuple[Slot, Slot]] = []  # of structures that no edit touched
     jointed: set[int] = set()  # bodies of edited structures that hang on joints
     for body, slot in new.free.items():
         state = states.get(body)
         if state is None:
-            kept.append((slot, old.free[body]))
+            after.copy(slot, before, old.free[body])
         else:
             place_body(target, slot, state)
     for number, slot in new.joint.items():
         joint, old_slot = joints[number], old.joint.get(number)
         if joint.body1 not in states and joint.body2 not in states and old_slot is not None:
-            kept.append((slot, old_slot))
+            after.copy(slot, before, old_slot)
             continue
         jointed |= {joint.body1, joint.body2}
         if joint.form == "ball":
@@ -156,7 +152,6 @@ def transfer_state(
             after.qpos[slot.q : slot.q + 3] = _cone(joint, balls[number], slot.flipped)
         else:
             after.qpos[slot.q] = joint.held_at if old_slot is None else before.qpos[old_slot.q]
-    after.copy(before, kept)
     fixed = {end for joint in joints.values() if joint.kind == "fixed" for end in (joint.body1, joint.body2)}
     jointed |= fixed & states.keys()
     if jointed:
