@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection
 import pytest
 
 from nmes.evaluation.processes import signals_deferred, start_process
+from processes import signal_handler
 
 
 @contextmanager
@@ -61,7 +62,7 @@ def test_ctrl_c_while_a_process_is_begun_comes_when_it_has_all_it_needs(
         os.close(told)
         return begun[-1]
 
-    with another_thread():
+    with another_thread(), signal_handler(signal.SIGINT, signal.default_int_handler):
         first, pipe = start_process(answer, 1)  # what tracks the memory of processes is there now
         assert pipe.recv()[0] == 1
         first.join()
@@ -76,17 +77,16 @@ def test_ctrl_c_while_a_process_is_begun_comes_when_it_has_all_it_needs(
 
 def test_signals_that_are_held_back_come_at_the_end_in_their_order() -> None:
     came: list[int] = []
-    both = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda number, _: came.append(number)) for number in both}
-    try:
+
+    def note(number: int, _: object) -> None:
+        came.append(number)
+
+    with signal_handler(signal.SIGINT, note), signal_handler(signal.SIGTERM, note):
         with signals_deferred():
-            for number in reversed(both):
-                signal.raise_signal(number)
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
             assert came == []
-        assert came == [*reversed(both)]
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        assert came == [signal.SIGTERM, signal.SIGINT]
 
 
 def test_another_thread_starts_processes_too() -> None:

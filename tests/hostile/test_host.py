@@ -34,7 +34,7 @@ from nmes.server.door import Door, Guesses, address_of
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.world_recorder import WorldRecorder
 from nmes.world import World
-from processes import process, ready
+from processes import process, ready, signal_handler
 from servers import PASSWORD, PATIENCE, Peer, served, until
 
 
@@ -177,7 +177,10 @@ def test_serve_says_that_its_recording_was_removed_and_ends_with_status_1(tmp_pa
 
 def test_a_server_whose_terminal_is_closed_keeps_what_it_acknowledged(tmp_path: Path) -> None:
     options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path)]
-    with process("serve", "--json", *options, "--flush-interval", "60", NMES_PASSWORD=PASSWORD) as server:
+    with (
+        signal_handler(signal.SIGHUP, signal.SIG_DFL),
+        process("serve", "--json", *options, "--flush-interval", "60", NMES_PASSWORD=PASSWORD) as server,
+    ):
         info = ready(server)
         with Peer(info["port"]) as peer:
             peer.ask({"type": "auth", "password": PASSWORD})
@@ -189,16 +192,15 @@ def test_a_server_whose_terminal_is_closed_keeps_what_it_acknowledged(tmp_path: 
 
 
 def test_a_server_that_is_to_outlive_its_terminal_goes_on() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # which a child inherits: what nohup does
-    try:
-        with process("serve", "--json", "--port", "0", "--no-record", NMES_PASSWORD=PASSWORD) as server:
-            info = ready(server)
-            server.send_signal(signal.SIGHUP)
-            with Peer(info["port"]) as peer:
-                assert peer.ask({"type": "auth", "password": PASSWORD})["type"] == "auth_success"
-                assert peer.ask({"type": "ping"})["type"] == "pong"
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    with (
+        signal_handler(signal.SIGHUP, signal.SIG_IGN),  # what nohup does
+        process("serve", "--json", "--port", "0", "--no-record", NMES_PASSWORD=PASSWORD) as server,
+    ):
+        info = ready(server)
+        server.send_signal(signal.SIGHUP)
+        with Peer(info["port"]) as peer:
+            assert peer.ask({"type": "auth", "password": PASSWORD})["type"] == "auth_success"
+            assert peer.ask({"type": "ping"})["type"] == "pong"
 
 
 @pytest.mark.parametrize("secure", [False, True], ids=["plain", "TLS"])

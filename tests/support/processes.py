@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -41,3 +42,16 @@ def ready(server: subprocess.Popen[str]) -> dict[str, Any]:
     document = json.loads(line)
     assert isinstance(document, dict)
     return document
+
+
+@contextmanager
+def signal_handler(number: signal.Signals, handler: Callable[..., Any] | signal.Handlers) -> Iterator[None]:
+    """Sets how this process handles a signal for the length of a block, however it was started.
+
+    What a script runs in the background, or under `nohup`, ignores some signals, and so do the processes it starts.
+    """
+    before = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
